@@ -80,17 +80,17 @@ def _own_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture
 def mapping() -> Mapping:
     """Tables that begin elsewhere than at 0, each with other contents."""
-    made = Mapping(
+    mapping = Mapping(
         coils=range(10, 2100),
         discrete_inputs=range(20, 2100),
         holding_registers=range(100, 400),
         input_registers=range(200, 400),
     )
-    made.coils[10:20] = [True, False, True, True, False, False, True, True, True, False]
-    made.discrete_inputs[20:28] = [False, True, False, True, False, True, False, True]
-    made.holding_registers[100:110] = range(1000, 1010)
-    made.input_registers[200:210] = range(2000, 2010)
-    return made
+    mapping.coils[10:20] = [True, False, True, True, False, False, True, True, True, False]
+    mapping.discrete_inputs[20:28] = [False, True, False, True, False, True, False, True]
+    mapping.holding_registers[100:110] = range(1000, 1010)
+    mapping.input_registers[200:210] = range(2000, 2010)
+    return mapping
 
 
 @pytest.fixture
@@ -102,8 +102,8 @@ def device(mapping: Mapping) -> Device:
 @pytest.fixture
 def stage() -> Iterator[Stage]:
     """A network in memory, on which seconds pass only while the test waits."""
-    with Stage() as made:
-        yield made
+    with Stage() as stage:
+        yield stage
 
 
 @pytest.fixture
@@ -115,15 +115,15 @@ def pki(tmp_path: Path) -> Pki:
 @pytest.fixture(params=["tcp", "rtu+tcp", "ascii+tcp", "tls", "rtu", "ascii"])
 def url(request: pytest.FixtureRequest, device: Device) -> Iterator[str]:
     """A client's URL for unit 17 of a server, over each transport."""
-    with serving(request.param, Server({UNIT: device})) as made:
-        yield made
+    with serving(request.param, Server({UNIT: device})) as url:
+        yield url
 
 
 @pytest.fixture(params=KINDS)
 def connect(request: pytest.FixtureRequest) -> Iterator[Connect]:
     """Makes clients of one kind: for what holds for both."""
-    with connecting(request.param) as made:
-        yield made
+    with connecting(request.param) as connect:
+        yield connect
 
 
 @pytest.fixture(scope="session")
@@ -132,7 +132,7 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     directory = tmp_path_factory.mktemp("c")
 
     def get(name: str) -> Path:
-        made = directory / name
-        return made if made.exists() else compile_c(SOURCES / f"{name}.c", made)
+        program = directory / name
+        return program if program.exists() else compile_c(SOURCES / f"{name}.c", program)
 
     return get

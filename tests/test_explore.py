@@ -121,9 +121,9 @@ MEETINGS = [
 @pytest.mark.parametrize(("world", "retries", "most"), MEETINGS)
 def test_two_faults_that_meet_shift_nothing(world: str, retries: int, most: int) -> None:
     steps = [each.replace("_", " ").split(":") for each in world.split()]
-    found = run(False, True, retries, [(move, act) for move, act in steps])
-    assert found.errors <= {"stale"}
-    assert found.wrong_values == most
+    result = run(False, True, retries, [(move, act) for move, act in steps])
+    assert result.errors <= {"stale"}
+    assert result.wrong_values == most
 
 
 @pytest.mark.parametrize("rule", [*ON_LINES, *WITH_IDS])

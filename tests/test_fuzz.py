@@ -95,7 +95,7 @@ WORDS += [
 
 @settings(max_examples=60)
 @given(st.lists(st.sampled_from(WORDS) | st.text(max_size=3), max_size=25))
-def test_device_files(words: list[str]) -> None:
+def test_any_device_file_is_loaded_or_refused(words: list[str]) -> None:
     """Parts of the example in any order."""
     check_device_file("[[unit]]\n" + "\n".join(words))
 
@@ -106,7 +106,7 @@ TEXTS += ["name = 'a'", "url = 1", "unit = 300", "a;tcp://h;1", "a,40001", '"', 
 
 @settings(max_examples=60)
 @given(st.sampled_from(sorted(FILES)), st.lists(st.sampled_from(TEXTS) | st.text(max_size=3)))
-def test_files_of_all_kinds(kind: str, lines: list[str]) -> None:
+def test_any_lines_in_files_are_loaded_or_refused(kind: str, lines: list[str]) -> None:
     check_file(kind, "\n".join(lines))
 
 
@@ -124,7 +124,7 @@ def test_device_files_with_an_odd_value(at: int, odd: str) -> None:
 @each_case("name", FRAMERS)
 @settings(max_examples=60)
 @given(st.data())
-def test_streams(name: str, data: st.DataObject) -> None:
+def test_any_stream_is_cut_into_frames(name: str, data: st.DataObject) -> None:
     check_stream(name, data.draw(streams(FORMS[name])), data.draw(sizes))
 
 
@@ -147,7 +147,7 @@ gaps = st.sampled_from([0.0, 0.0005, 0.005, 0.05, 0.4, 2.0, 9.0])
 @each_case("framing", ["rtu", "ascii"])
 @settings(max_examples=60)
 @given(st.data())
-def test_lines(framing: Literal["rtu", "ascii"], data: st.DataObject) -> None:
+def test_listeners_survive_any_bytes(framing: Literal["rtu", "ascii"], data: st.DataObject) -> None:
     pieces = st.tuples(gaps, mutated(framing) | st.binary(max_size=12))
     check_listening(framing, data.draw(st.lists(pieces, max_size=12)))
 
@@ -163,7 +163,7 @@ def test_a_listener_names_most(framing: Framing, faults: float, least: float) ->
 
 @settings(max_examples=60)
 @given(st.lists(mutated("tcp") | st.binary(max_size=270), max_size=8))
-def test_datagrams(datagrams: list[bytes]) -> None:
+def test_any_datagrams_are_answered_or_dropped(datagrams: list[bytes]) -> None:
     check_datagrams(datagrams)
 
 
@@ -173,21 +173,21 @@ def near_pdus() -> st.SearchStrategy[bytes]:
 
 @settings(max_examples=250)
 @given(near_pdus() | st.binary(max_size=260))
-def test_requests(data: bytes) -> None:
+def test_any_request_is_decoded_or_refused(data: bytes) -> None:
     check_request(data)
 
 
 @each_case("request_", REQUEST_OBJECTS, ids=[type(each).__name__ for each in REQUEST_OBJECTS])
 @settings(max_examples=35)
 @given(data=near_pdus() | st.binary(max_size=260), mark=st.sampled_from([None, 0, 0x80]))
-def test_responses(request_: pdu.Request[Any], data: bytes, mark: int | None) -> None:
+def test_any_response_is_judged(request_: pdu.Request[Any], data: bytes, mark: int | None) -> None:
     """Also those to other requests, as if they answered or refused this one."""
     check_response(request_, data if mark is None else bytes([request_.function | mark]) + data[1:])
 
 
 @settings(max_examples=60)
 @given(st.lists((near_pdus() | st.binary(max_size=20)).filter(bool), max_size=12))
-def test_devices(requests: list[bytes]) -> None:
+def test_a_device_answers_any_requests(requests: list[bytes]) -> None:
     check_device(requests)
 
 

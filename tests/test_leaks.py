@@ -94,11 +94,11 @@ LEFT = {
 }
 
 
-def test_each_is_told_by_name(pytester: pytest.Pytester) -> None:
+def test_each_leak_is_reported_with_the_name_of_its_test(pytester: pytest.Pytester) -> None:
     pytester.makeini("[pytest]\nfilterwarnings = error\naddopts = -p no:hypothesispytest")
     pytester.makeconftest(CONFTEST)
     pytester.makepyfile(TESTS)
-    done = pytester.runpytest_subprocess("-rE")
-    done.assert_outcomes(passed=13, errors=len(LEFT))
+    result = pytester.runpytest_subprocess("-rE")
+    result.assert_outcomes(passed=13, errors=len(LEFT))
     for test, text in LEFT.items():
-        done.stdout.fnmatch_lines([f"*ERROR at teardown of {test} *", text])
+        result.stdout.fnmatch_lines([f"*ERROR at teardown of {test} *", text])

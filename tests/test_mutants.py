@@ -64,11 +64,11 @@ def tank(tmp_path: Path) -> Path:
 
 
 def test_each_place_is_changed_and_texts_are_not(tank: Path) -> None:
-    found = [
+    places = [
         (each.line, each.operator, str(each).partition(f"{each.operator}: ")[2])
         for each in mutants(tank)
     ]
-    assert sorted(found) == sorted(EXPECTED)
+    assert sorted(places) == sorted(EXPECTED)
 
 
 def test_values_of_tuning_constants_are_left_alone_and_their_uses_are_not(tmp_path: Path) -> None:
@@ -87,8 +87,8 @@ def take(waiting: list[int]) -> bool:
     return len(waiting) < MOST_AT_ONCE
 """
     )
-    found = {(each.line, each.operator) for each in mutants(path)}
-    assert found == {
+    places = {(each.line, each.operator) for each in mutants(path)}
+    assert places == {
         (3, "assignment removed"),
         (3, "constant"),
         # No boundary: that is a value which is larger by one.
@@ -163,5 +163,5 @@ def test_a_mutant_is_killed_by_a_test_that_notices(tmp_path: Path) -> None:
         head = "import threading\nfrom libmodbus_py.services.line import rest_after\n"
         (tmp_path / f"test_{kind}.py").write_text(f"{head}\n\ndef test_it():\n    {body}\n")
     command = [sys.executable, "-c", TRYING, *(f"test_{kind}.py" for kind in BODIES)]
-    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, cwd=tmp_path)
-    assert done.stdout.split() == list(BODIES)
+    process = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, cwd=tmp_path)
+    assert process.stdout.split() == list(BODIES)

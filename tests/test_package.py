@@ -123,7 +123,7 @@ class TestPublicNames:
         assert {*libmodbus_py.__all__} < {*names}
 
     @pytest.mark.parametrize("package", [libmodbus_py, pdu])
-    def test_everything_is_there_for_whoever_asks_in_any_way(self, package: Any) -> None:
+    def test_every_public_name_is_imported_in_every_way(self, package: Any) -> None:
         names: dict[str, object] = {}
         exec(f"from {package.__name__} import *", names)
         assert set(package.__all__) <= set(names)
@@ -152,12 +152,12 @@ class TestPublicNames:
         }
         for path in MODULES.values():
             assert (path.parent / "__init__.py").exists()
-        known = tomllib.loads(text)["tool"]["setuptools"]["package-data"]["libmodbus_py"]
-        data = {path for pattern in known for path in PACKAGE.glob(pattern)}
+        patterns = tomllib.loads(text)["tool"]["setuptools"]["package-data"]["libmodbus_py"]
+        data = {path for pattern in patterns for path in PACKAGE.glob(pattern)}
         ignored = {".c", ".h", ".o", ".py", ".pyc", ".so"}
         # What Python is writing at this moment has other suffixes.
-        kept = (path for path in PACKAGE.rglob("*.*") if path.parent.name != "__pycache__")
-        others = {path for path in kept if path.is_file()}
+        paths = (path for path in PACKAGE.rglob("*.*") if path.parent.name != "__pycache__")
+        others = {path for path in paths if path.is_file()}
         assert {path for path in others if path.suffix not in ignored} == data
 
     def test_every_error_is_public(self) -> None:
@@ -227,7 +227,7 @@ class TestPublicNames:
         assert {"diagnostics", "encapsulated_transport", "execute"} < set(dir(Client))
 
     def test_signatures_are_those_that_other_programs_call(self) -> None:
-        expected = {
+        signatures = {
             "read_exception_status": "()",
             "diagnostics": "(sub_function, data=0)",
             "read_comm_event_counter": "()",
@@ -238,7 +238,7 @@ class TestPublicNames:
             "encapsulated_transport": "(mei_type, data)",
             "execute": "(request, *, timeout=None, retries=None)",
         }
-        for name, text in expected.items():
+        for name, text in signatures.items():
             signature = inspect.signature(getattr(Client, name))
             bare = [
                 each.replace(annotation=inspect.Parameter.empty)
@@ -258,18 +258,18 @@ def imported_by(program: str) -> set[str]:
         f"before = set(sys.modules)\n{program}\n"
         "print(*sorted(set(sys.modules) - before))"
     )
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True, timeout=30
     )
-    assert done.returncode == 0, done.stderr
-    return set(done.stdout.split())
+    assert process.returncode == 0, process.stderr
+    return set(process.stdout.split())
 
 
 class TestLateImports:
     """Programs that start often, such as one read in a shell, pay for each module each time."""
 
     @pytest.mark.parametrize(
-        ("program", "wanted", "unwanted"),
+        ("program", "needs", "unwanted"),
         [
             ("import libmodbus_py", {"late"}, {"client", "ports", "protocol"}),
             (
@@ -314,20 +314,20 @@ class TestLateImports:
             ),
         ],
     )
-    def test_what_comes_with_what(self, program: str, wanted: set[str], unwanted: set[str]) -> None:
-        found = imported_by(program)
+    def test_imports_are_few(self, program: str, needs: set[str], unwanted: set[str]) -> None:
+        modules = imported_by(program)
         if "AsyncClient" not in program and "Server" not in program:
-            assert not found & SLOW
-        assert wanted <= {name.removeprefix("libmodbus_py.") for name in found}
-        assert not {f"libmodbus_py.{name}" for name in unwanted} & found
+            assert not modules & SLOW
+        assert needs <= {name.removeprefix("libmodbus_py.") for name in modules}
+        assert not {f"libmodbus_py.{name}" for name in unwanted} & modules
 
     def test_a_client_that_is_not_made_needs_no_dataclasses(self) -> None:
         """They bring inspect, and with it half of what compiles Python."""
-        found = imported_by("from libmodbus_py import Client")
-        assert not found & {"dataclasses", "inspect", "urllib.parse"}
+        modules = imported_by("from libmodbus_py import Client")
+        assert not modules & {"dataclasses", "inspect", "urllib.parse"}
 
     def test_one_read_brings_one_kind_of_request(self) -> None:
-        found = imported_by(
+        modules = imported_by(
             "import socket, threading\n"
             "from libmodbus_py import Client\n"
             "there = socket.create_server(('127.0.0.1', 0))\n"
@@ -341,17 +341,17 @@ class TestLateImports:
             "    assert plc.read_holding_registers(0, 1) == [0x102]\n"
             "thread.join()\n"
         )
-        kinds = {name for name in found if name.startswith("libmodbus_py.protocol.pdu.")}
+        kinds = {name for name in modules if name.startswith("libmodbus_py.protocol.pdu.")}
         own = ("request", "reads")
         assert kinds == {f"libmodbus_py.protocol.pdu.{name}" for name in own}
 
     def test_a_list_of_maps_brings_neither_client_nor_scan(self) -> None:
-        found = imported_by("from libmodbus_py.cli.main import main\nmain(['map', 'list'])")
-        assert "libmodbus_py.cli.ask.map" in found
+        modules = imported_by("from libmodbus_py.cli.main import main\nmain(['map', 'list'])")
+        assert "libmodbus_py.cli.ask.map" in modules
         unwanted = ("client.blocking", "maps.point", "tools.scan.probe")
-        assert not {f"libmodbus_py.{name}" for name in unwanted} & found
+        assert not {f"libmodbus_py.{name}" for name in unwanted} & modules
 
-    def test_tls_brings_ssl(self) -> None:
+    def test_importing_security_imports_ssl(self) -> None:
         assert "ssl" in imported_by("from libmodbus_py import Security")
 
 
@@ -371,9 +371,9 @@ def header_text() -> str:
 def declared_functions() -> set[str]:
     declarations = re.findall(r"^MODBUS_API\b([^;]*);", header_text(), re.MULTILINE)
     return {
-        found[1]
+        match[1]
         for declaration in declarations
-        if (found := re.search(r"(modbus_\w+)\s*\(", declaration))
+        if (match := re.search(r"(modbus_\w+)\s*\(", declaration))
     }
 
 
@@ -456,7 +456,7 @@ class TestLowLevel:
         assert lib.MODBUS_TCP_MAX_ADU_LENGTH == 260
         assert lib.MODBUS_RTU_MAX_ADU_LENGTH == 256
 
-    def test_what_it_hands_out_is_all_there_is(self) -> None:
+    def test_its_public_names_are_ffi_lib_and_version(self) -> None:
         assert low_level.__all__ == ["ffi", "lib", "loaded_version"]
 
 
@@ -484,9 +484,9 @@ def copied_package(directory: Path) -> Path:
 def copied_modules(package: Path) -> Path:
     """Copy what is compiled, too; give the one that needs libmodbus."""
     for folder, name in (("protocol", "_scan"), ("binding", "_libmodbus")):
-        built = Path(importlib.import_module(f"libmodbus_py.{folder}.{name}").__file__ or "")
-        shutil.copy(built, package / folder)
-    return built
+        module = Path(importlib.import_module(f"libmodbus_py.{folder}.{name}").__file__ or "")
+        shutil.copy(module, package / folder)
+    return module
 
 
 class TestImportErrors:
@@ -494,8 +494,8 @@ class TestImportErrors:
     def test_without_a_compiled_module_it_says_what_to_install(self, tmp_path, missing) -> None:
         package = copied_package(tmp_path)
         copied_modules(package)
-        for built in package.glob(f"{missing}.*"):
-            built.unlink()
+        for module in package.glob(f"{missing}.*"):
+            module.unlink()
         run = import_from(tmp_path)
         assert run.returncode == 1
         last = run.stderr.splitlines()[-1]
@@ -505,10 +505,10 @@ class TestImportErrors:
     def test_without_libmodbus_it_says_what_to_install(self, tmp_path: Path) -> None:
         """The real loader, on a module that wants a library which no system has."""
         package = copied_package(tmp_path)
-        built = copied_modules(package)
-        code = built.read_bytes()
+        module = copied_modules(package)
+        code = module.read_bytes()
         assert code.count(b"libmodbus.so.5") >= 1
-        (package / "binding" / built.name).write_bytes(
+        (package / "binding" / module.name).write_bytes(
             code.replace(b"libmodbus.so.5", b"libmodbus.so.0")
         )
         run = import_from(tmp_path)
@@ -535,12 +535,12 @@ TRANSACTION: dict[str, Any] = {
 
 
 def all_errors() -> list[ModbusError]:
-    made: list[ModbusError] = [ExceptionResponse.of(code, **TRANSACTION) for code in range(256)]
+    examples: list[ModbusError] = [ExceptionResponse.of(code, **TRANSACTION) for code in range(256)]
     for name in errors.__all__:
         kind = getattr(errors, name)
-        made.append(kind("the reason", **TRANSACTION))
-        made.append(kind())
-    return made
+        examples.append(kind("the reason", **TRANSACTION))
+        examples.append(kind())
+    return examples
 
 
 ATTRIBUTES = ["unit", "function", "asked", "sent", "received", "args"]

@@ -17,9 +17,9 @@ from tests.support.cases import each_case
 def flag(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Flag]:
     if request.param == "pipe":
         monkeypatch.delattr(os, "eventfd")
-    made = Flag()
-    yield made
-    made.close()
+    flag = Flag()
+    yield flag
+    flag.close()
 
 
 def test_a_flag_is_readable_from_set_to_clear_and_closed_for_good(flag: Flag) -> None:
@@ -71,20 +71,20 @@ def _forget() -> None:
 
 
 @each_case(
-    ("way", "home", "told"),
+    ("way", "home", "reason"),
     [
-        (way, home, told)
+        (way, home, reason)
         for way in (f"from {PACKAGE} import thing", f"import {PACKAGE} as p; p.thing")
-        for home, told in (
+        for home, reason in (
             ("import os\nos.absent\n", "module 'os' has no attribute 'absent'"),
             ("another = 1\n", f"module '{PACKAGE}.home' has no attribute 'thing'"),
         )
     ],
 )
-def test_the_reason_is_shown_when_the_module_of_a_name_fails(package: Path, way, home, told):
+def test_the_reason_is_shown_when_the_module_of_a_name_fails(package: Path, way, home, reason):
     (package / "home.py").write_text(home)
     _forget()
-    with pytest.raises(ImportError, match=rf"^cannot import {PACKAGE}\.home: {told}$") as caught:
+    with pytest.raises(ImportError, match=rf"^cannot import {PACKAGE}\.home: {reason}$") as caught:
         exec(way, {})
     assert isinstance(caught.value.__cause__, AttributeError)
 

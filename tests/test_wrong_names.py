@@ -40,7 +40,7 @@ DEVICE = Device(Mapping(holding_registers=9, input_registers=9, discrete_inputs=
 
 
 @each_case(
-    ("make", "named", "meant"),
+    ("make", "name", "close"),
     [
         (Server, "fault", "faults"),
         (Gateway, "write_first", "writes_first"),
@@ -63,18 +63,18 @@ DEVICE = Device(Mapping(holding_registers=9, input_registers=9, discrete_inputs=
         (AuditFile, "pth", "path"),
     ],
 )
-def test_a_wrong_name_of_an_argument(make: Callable[..., Any], named: str, meant: str) -> None:
-    assert meant in inspect.signature(make).parameters, "the case is wrong"
+def test_a_wrong_name_of_an_argument(make: Callable[..., Any], name: str, close: str) -> None:
+    assert close in inspect.signature(make).parameters, "the case is wrong"
     with pytest.raises(TypeError) as raised:
-        make(**{named: 1})
-    assert str(raised.value).startswith(f"'{named}' must be one of ")
+        make(**{name: 1})
+    assert str(raised.value).startswith(f"'{name}' must be one of ")
     assert "did you mean " in str(raised.value)
-    assert meant in str(raised.value).partition("did you mean ")[2]
+    assert close in str(raised.value).partition("did you mean ")[2]
     assert raised.value.__cause__ is None
 
 
 @each_case(
-    ("function", "named", "meant"),
+    ("function", "name", "close"),
     [
         (listen, "stopbits", "rtu:///dev/ttyUSB0?stop_bits=..."),
         (listen, "captures", "did you mean capture?"),
@@ -84,11 +84,11 @@ def test_a_wrong_name_of_an_argument(make: Callable[..., Any], named: str, meant
         (search, "stopbits", "rtu:///dev/ttyUSB0?stop_bits=..."),
     ],
 )
-def test_a_wrong_name_of_an_argument_of_a_function(function, named, meant) -> None:
+def test_a_wrong_name_of_an_argument_of_a_function(function, name, close) -> None:
     with pytest.raises(TypeError) as raised:
-        function(URL, **{named: 1})
-    assert str(raised.value).startswith(f"'{named}' must be one of ")
-    assert meant in str(raised.value)
+        function(URL, **{name: 1})
+    assert str(raised.value).startswith(f"'{name}' must be one of ")
+    assert close in str(raised.value)
     assert "url" in inspect.signature(function).parameters
 
 
@@ -104,7 +104,7 @@ def test_other_errors_of_calls_are_those_of_python() -> None:
 def test_errors_from_within_are_passed_on() -> None:
     @named_arguments
     class Raising:
-        def __init__(self, **named: int) -> None:
+        def __init__(self, **options: int) -> None:
             raise TypeError("from within")
 
     with pytest.raises(TypeError, match="from within"):
@@ -112,8 +112,8 @@ def test_errors_from_within_are_passed_on() -> None:
 
     @named_arguments
     class Calling:
-        def __init__(self, given: int = 0) -> None:
-            Route(nonsense=given)  # type: ignore[call-arg]
+        def __init__(self, argument: int = 0) -> None:
+            Route(nonsense=argument)  # type: ignore[call-arg]
 
     with pytest.raises(TypeError, match="'nonsense' must be one of url, "):
         Calling()
@@ -225,9 +225,9 @@ def test_a_reference_of_six_digits_is_no_address(address: int, hint: str) -> Non
     ],
 )
 def test_a_wrong_word_on_the_command_line(words: str, close: str) -> None:
-    done = run("read", "127.0.0.1:1", *words.split())
-    assert (done.code, done.out) == (2, "")
-    assert close in done.err
+    result = run("read", "127.0.0.1:1", *words.split())
+    assert (result.code, result.out) == (2, "")
+    assert close in result.err
 
 
 @each_case(

@@ -187,11 +187,11 @@ def replier() -> Replier:
 
 
 def answer_in_c(
-    own: Replier, mapping: Any, watched: Watched, tally: Any, unit: int, data: bytes, start: int
+    own: Replier, mapping: Any, places: Watched, tally: Any, unit: int, data: bytes, start: int
 ) -> Answered:
     """Answer the requests from ``data[start]`` on (`Device.answer_chunk`). Hold the lock."""
     struct = own.struct
-    end = lib.answer_chunk(struct, mapping, watched.struct, tally, unit, data, start, len(data))
+    end = lib.answer_chunk(struct, mapping, places.struct, tally, unit, data, start, len(data))
     if end == -1:
         own.renew()
         check(end)

@@ -166,8 +166,8 @@ class BlockingDriver:
     def _interrupt(self) -> None:
         """Leave the connection, because it is unknown what was sent, and forget all requests."""
         self._port.close()
-        interrupted = ModbusConnectionError("interrupted", errno=errno.EINTR)
-        self._connection.interrupted(interrupted, self._now())
+        error = ModbusConnectionError("interrupted", errno=errno.EINTR)
+        self._connection.interrupted(error, self._now())
         self._is_left = False
 
     # --- the requests of one caller -----------------------------------------------------------

@@ -124,8 +124,8 @@ class Call:
             self.is_silent: bool = False
             return
         if not isinstance(request, Request):
-            given = type(request).__name__
-            raise TypeError(f"{name.format(index)} must be a request object of pdu, not {given}")
+            kind = type(request).__name__
+            raise TypeError(f"{name.format(index)} must be a request object of pdu, not {kind}")
         if is_broadcast and not request.may_be_broadcast:
             from ..protocol.pdu import RawRequest
 
@@ -137,8 +137,8 @@ class Call:
             is_broadcast = False  # who sends bytes knows whether they are answered
         self.pdu = pdu = request.encode()
         if not isinstance(pdu, bytes):
-            given = type(pdu).__name__
-            raise TypeError(f"{name.format(index)} must encode to bytes, not {given}")
+            kind = type(pdu).__name__
+            raise TypeError(f"{name.format(index)} must encode to bytes, not {kind}")
         if not 0 < len(pdu) <= MAX_PDU:
             size = f"1..{MAX_PDU} bytes, not {len(pdu)}"
             raise ValueError(f"{name.format(index)} must encode to {size}")
@@ -191,11 +191,11 @@ class Call:
 
         None if it may not be sent again.
         """
-        (lost, busy), timeouts = self.tries, self.timeouts
-        tries = busy if is_busy else lost
+        (unanswered, busy), timeouts = self.tries, self.timeouts
+        tries = busy if is_busy else unanswered
         if tries >= (timeouts.busy_retries if is_busy else timeouts.retries):
             return None
-        self.tries = (lost, busy + 1) if is_busy else (lost + 1, busy)
+        self.tries = (unanswered, busy + 1) if is_busy else (unanswered + 1, busy)
         self.state = WAITING
         self.sent_at, self.waited, self.reply = now, 0.0, None
         return tries
@@ -273,7 +273,7 @@ class Batch:
     @property
     def outcomes(self) -> list[Any]:
         """The outcomes of the requests, in their order."""
-        return [each.outcome for each in self.calls]
+        return [call.outcome for call in self.calls]
 
     def on_end(self, callback: Callable[[Batch], object]) -> None:
         """Call a function once it is over."""
@@ -426,8 +426,8 @@ def no_answer(timeout: float, received: bytes, *, is_held: bool = False) -> Modb
     return ModbusTimeoutError(f"no answer within {timeout:g} s")
 
 
-def raised(outcomes: Iterable[Any], tolerated: tuple[type[BaseException], ...] = ()) -> None:
+def raised(outcomes: Iterable[Any], kinds: tuple[type[BaseException], ...] = ()) -> None:
     """Raise the first failure, in the order of requests, that is not tolerated."""
     for outcome in outcomes:
-        if isinstance(outcome, BaseException) and not isinstance(outcome, tolerated):
+        if isinstance(outcome, BaseException) and not isinstance(outcome, kinds):
             raise outcome

@@ -73,13 +73,13 @@ class Transactions:
         any_unit, any_id = settings["accept_unit"] == "any", settings["ids"] == "ignore"
         # With any id, a late answer would be taken for that of the next request.
         self._most_unanswered = 1 if any_id else settings["timeouts_before_reconnect"]
-        shared = endpoint, self.statistics, self._trace
+        common = endpoint, self.statistics, self._trace
         if endpoint.has_transactions:
-            self.matching = Ids(*shared, any_unit=any_unit, any_id=any_id)
+            self.matching = Ids(*common, any_unit=any_unit, any_id=any_id)
         else:
             from .line import Line
 
-            self.matching = Line(*shared, port.silence, settings["delimiter"], any_unit=any_unit)
+            self.matching = Line(*common, port.silence, settings["delimiter"], any_unit=any_unit)
         self._has_ids = endpoint.has_transactions
         self._scheme = endpoint.scheme
         self._is_socket = not endpoint.is_serial
@@ -144,8 +144,8 @@ class Transactions:
         if was_in_flight:
             self.statistics.note(call.function, "cancelled")
             self.in_flight -= 1
-        for due, each in self._silent:
-            if each is call:
+        for due, other in self._silent:
+            if other is call:
                 self.matching.wake(due)  # it stays in flight until then, because the line is in use
         return was_in_flight
 
@@ -154,11 +154,11 @@ class Transactions:
         if self._settings["may_send"] is None:
             return None
         try:
-            allowed = finished("may_send", self._settings["may_send"]())
-            if allowed is True:
+            answer = finished("may_send", self._settings["may_send"]())
+            if answer is True:
                 return None
-            if allowed is not False:
-                raise TypeError(f"may_send must return True or False, not {allowed!r}")
+            if answer is not False:
+                raise TypeError(f"may_send must return True or False, not {answer!r}")
         except Exception:
             log_failure(__name__, "may_send failed; nothing is sent")
         return ModbusConnectionError("may_send allows no request now", errno=errno.EPERM)
@@ -186,7 +186,7 @@ class Transactions:
             matching.wake(self._next_start)
             return False
         adus: list[bytes] = []
-        traced: list[Call] = []
+        calls: list[Call] = []
         unsettled, spacing = self._answered, self._settings["request_spacing"]
         if (is_traced := self._trace.is_on()) is not matching.is_traced:
             matching.trace_frames(is_on=is_traced)
@@ -201,7 +201,7 @@ class Transactions:
             if deadline < matching.alarm:
                 matching.wake(deadline)
             if is_traced:
-                traced.append(call)
+                calls.append(call)
             if call.changes:
                 queue.note_write(call)
             if call.is_silent:
@@ -216,7 +216,7 @@ class Transactions:
         self.is_flooded = False
         self.statistics.requests += len(adus)
         send(adus, now)
-        for call in traced:
+        for call in calls:
             self._trace.tell("sent", call.adu, call.unit, call.pdu[0])
         return True
 
@@ -368,9 +368,9 @@ class Transactions:
         """
         matching, queue = self.matching, self.queue
         for data in chunks:
-            answered = matching.take(data, now)
-            self.in_flight -= len(answered)
-            self._answered += answered
+            calls = matching.take(data, now)
+            self.in_flight -= len(calls)
+            self._answered += calls
         if matching.unasked > MAX_UNASKED_BYTES or not matching.is_in_step:
             self.is_flooded = matching.unasked > MAX_UNASKED_BYTES
             if not matching.is_in_step:
@@ -386,8 +386,8 @@ class Transactions:
 
     def settle(self, now: float) -> None:
         """Decode the answers and set the outcomes."""
-        answered, self._answered = self._answered, []
-        for call in answered:
+        calls, self._answered = self._answered, []
+        for call in calls:
             if call.changes:
                 self.queue.note_end(call)
             reply = call.reply
@@ -424,9 +424,9 @@ class Transactions:
         matching.clear_alarm()
         self._end_silent(now)
         if self.life.is_open:
-            ended = matching.expire(now)
-            self.in_flight -= len(ended)
-            self._answered += ended
+            calls = matching.expire(now)
+            self.in_flight -= len(calls)
+            self._answered += calls
             self.end_idle(now)
         else:
             self._end_waits(now)
@@ -447,7 +447,7 @@ class Transactions:
 
     def _end_silent(self, now: float) -> None:
         over = [call for due, call in self._silent if due <= now]
-        self._silent = [each for each in self._silent if each[0] > now]
+        self._silent = [silence for silence in self._silent if silence[0] > now]
         for call in over:
             self.in_flight -= 1
             self.queue.note_end(call)

@@ -78,14 +78,14 @@ class Ids(Matching):
     def take(self, data: bytes, now: float) -> list[Call]:
         if not self.pending:
             self.unasked += len(data)
-        answered: list[Call] = []
+        calls: list[Call] = []
         framer = self._framer
         frame = framer.whole(data)
-        for each in framer.scan(data) if frame is None else (frame,):
-            if isinstance(each, FrameError):
-                self._blame(each, answered)
+        for result in framer.scan(data) if frame is None else (frame,):
+            if isinstance(result, FrameError):
+                self._blame(result, calls)
                 continue
-            unit, pdu, number = each
+            unit, pdu, number = result
             if self.is_traced:
                 self._trace.tell("received", mbap(number, unit, pdu), unit, pdu[0])
             call = self.pending.pop(number, None)
@@ -108,8 +108,8 @@ class Ids(Matching):
                 )
                 error.answers_another = True
                 call.answer(error)
-            answered.append(call)
-        return answered
+            calls.append(call)
+        return calls
 
     def _drop(self, number: int, adu: bytes, now: float) -> None:
         """Drop a frame. Late answers prove that the server is alive; stray frames do not."""
@@ -124,7 +124,7 @@ class Ids(Matching):
     def _keep_stray(self, data: bytes) -> None:
         self._strays += data[: MAX_RECEIVED - len(self._strays)]
 
-    def _blame(self, error: FrameError, answered: list[Call]) -> None:
+    def _blame(self, error: FrameError, calls: list[Call]) -> None:
         """Assign an error to its request; to all, if the stream cannot be understood any more."""
         self._statistics.invalid += 1
         if self.is_traced:
@@ -133,7 +133,7 @@ class Ids(Matching):
             self.is_in_step = False
             for call in self.pending.values():
                 call.answer(copy.copy(error))
-                answered.append(call)
+                calls.append(call)
             self.pending.clear()
         elif self._is_datagram or _number(error.received) not in self.pending:
             self._keep_stray(error.received)

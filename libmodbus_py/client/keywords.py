@@ -37,35 +37,35 @@ class nothing:
     """The kind of an argument that was not given: errors say "must be ..., not nothing"."""
 
 
-def unexpected(method: Any, given: Iterable[str], known: Collection[str] = ()) -> TypeError:
+def unexpected(method: Any, names: Iterable[str], others: Collection[str] = ()) -> TypeError:
     """
     Return the error for keyword arguments that a method does not take.
 
     Args:
         method: the method of a client.
-        given: the names of arguments; the first one that is not `known` is wrong.
-        known: names that the method takes besides those of its signature.
+        names: the names of arguments; the first one that is not among `others` is wrong.
+        others: names that the method takes besides those of its signature.
     """
-    name = next(name for name in given if name not in known)
-    arguments = [*_arguments(method.__func__)[1:], *known]
+    name = next(name for name in names if name not in others)
+    arguments = [*_arguments(method.__func__)[1:], *others]
     options = Options.__annotations__
-    meant = OTHER_SPELLINGS.get(name.lower(), name)
-    if meant not in arguments and meant in options:
-        close = "; " if meant == name else f"; did you mean {meant}? "
+    spelling = OTHER_SPELLINGS.get(name.lower(), name)
+    if spelling not in arguments and spelling in options:
+        close = "; " if spelling == name else f"; did you mean {spelling}? "
         close += "it is an argument of the client"
     elif not (close := close_option(name, arguments)) and (close := close_to(name, options)):
         close += " it is an argument of the client"
-    called = f"{type(method.__self__).__name__}.{method.__name__}()"
-    return TypeError(f"{called} got an unexpected keyword argument {name!r}{close}")
+    method_name = f"{type(method.__self__).__name__}.{method.__name__}()"
+    return TypeError(f"{method_name} got an unexpected keyword argument {name!r}{close}")
 
 
 def check_plan_options(method: Any, options: Mapping[str, Any]) -> None:
     """Raise the error for the first option that is none of a `Plan`."""
     from ..maps.items import PlanOptions
 
-    known = PlanOptions.__annotations__
-    if not options.keys() <= known.keys():
-        raise unexpected(method, options, known)
+    options_of_plan = PlanOptions.__annotations__
+    if not options.keys() <= options_of_plan.keys():
+        raise unexpected(method, options, options_of_plan)
 
 
 def public_methods(owner: str) -> Callable[[Class], Class]:
@@ -94,9 +94,9 @@ def _as_written(method: FunctionType) -> FunctionType:
     code, annotations = method.__code__, {**method.__annotations__}
     if annotations.pop("wrong", None):
         code = code.replace(co_flags=code.co_flags & ~CO_VARKEYWORDS)
-    written = FunctionType(code, {}, method.__name__, method.__defaults__)
-    written.__kwdefaults__, written.__annotations__ = method.__kwdefaults__, annotations
-    return written
+    function = FunctionType(code, {}, method.__name__, method.__defaults__)
+    function.__kwdefaults__, function.__annotations__ = method.__kwdefaults__, annotations
+    return function
 
 
 def _add_defaults(method: FunctionType) -> None:

@@ -220,31 +220,31 @@ class Line(Matching):
                 self._statistics.echoes += 1
                 text = "%s: what is sent comes back (local echo), and is dropped; set echo=1"
                 log_warning(__name__, text, self._endpoint)
-        for found in self._framer.scan(data):
-            self._judge(found, now)
+        for frame in self._framer.scan(data):
+            self._judge(frame, now)
         call = self._call
         if call is not None and (self._framer.pending or self._wrong or self._echo.is_holding):
             self._quiet_at = now + (self._framer.quiet or 0.0)
             self.wake(self._quiet_at)
             if self._endpoint.framing == "ascii" and not self._framer.pending:
                 self._search(call, now)  # the end of a frame is marked: no more of it comes
-        ended, self._ended = self._ended, []
-        return ended
+        calls, self._ended = self._ended, []
+        return calls
 
-    def _judge(self, found: Frame | FrameError, now: float) -> None:
+    def _judge(self, frame: Frame | FrameError, now: float) -> None:
         """Follow the table for one frame, or for bytes that are none."""
         call = self._call
-        if isinstance(found, FrameError):
+        if isinstance(frame, FrameError):
             if self.is_traced:
-                self._trace.tell("received", found.received)
+                self._trace.tell("received", frame.received)
             self._statistics.invalid += 1
-            self._wrong = found
-            if self._held is not None and call is not None and self._is_of(call, found.received):
-                self._fail(call, found, now)
+            self._wrong = frame
+            if self._held is not None and call is not None and self._is_of(call, frame.received):
+                self._fail(call, frame, now)
             return
-        unit, pdu, _ = found
+        unit, pdu, _ = frame
         if self.is_traced:
-            self._trace.tell("received", self._framer.encode(found), unit, pdu[0])
+            self._trace.tell("received", self._framer.encode(frame), unit, pdu[0])
         function = pdu[0] & 0x7F
         if self._any_unit and call is not None:
             unit = call.unit
@@ -366,8 +366,8 @@ class Line(Matching):
         # The bytes before an answer on HOLD are judged.
         data = bytes(self._received if self._held is None else self._framer.rest)
         if isinstance(self._framer, RtuFramer):
-            heard = data.replace(call.adu, b"", 1) if self._echo.is_there else data
-            pdu = self._framer.find_response(heard, call.unit, call.pdu[0], is_over=is_over)
+            answer = data.replace(call.adu, b"", 1) if self._echo.is_there else data
+            pdu = self._framer.find_response(answer, call.unit, call.pdu[0], is_over=is_over)
             if pdu:
                 self._framer = self._make_framer()
                 self._judge(Frame(call.unit, pdu), now)
@@ -389,30 +389,30 @@ class Line(Matching):
         self._end_frame(now)
         if (call := self._call) is not None and call.deadline <= now:
             self._search(call, now, is_over=True)
-        call, held = self._call, self._held
+        call, answer = self._call, self._held
         if call is None:
             pass
-        elif held is not None and self._held_until <= now:
+        elif answer is not None and self._held_until <= now:
             self._pair(call, now).check(now, now - call.sent_at)
-            self._believe(call, held, self._held_at, now)
+            self._believe(call, answer, self._held_at, now)
         elif call.deadline > now:
-            self.wake(call.deadline if held is None else min(self._held_until, call.deadline))
+            self.wake(call.deadline if answer is None else min(self._held_until, call.deadline))
         else:
             pair = self._pair(call, now)
-            if held is not None and (not pair.is_doubted or pair.owed is call):
-                self._believe(call, held, self._held_at, now)
+            if answer is not None and (not pair.is_doubted or pair.owed is call):
+                self._believe(call, answer, self._held_at, now)
             else:
                 error = self._wrong or no_answer(
-                    call.timeouts.timeout, bytes(self._received), is_held=held is not None
+                    call.timeouts.timeout, bytes(self._received), is_held=answer is not None
                 )
                 self._statistics.timeouts += 1
-                self.unanswered += held is None
+                self.unanswered += answer is None
                 self._fail(call, error, now)
             if pair.is_doubted:
                 pair.heard(now)
-                pair.is_answered = held is not None
-        ended, self._ended = self._ended, []
-        return ended
+                pair.is_answered = answer is not None
+        calls, self._ended = self._ended, []
+        return calls
 
     def _end_frame(self, now: float) -> None:
         """Judge the bytes before a silence."""
@@ -422,8 +422,8 @@ class Line(Matching):
             self.wake(self._quiet_at)
             return
         self._quiet_at = None
-        for found in [*self._framer.scan(self._echo.release()), *self._framer.scan_silence()]:
-            self._judge(found, now)
+        for frame in [*self._framer.scan(self._echo.release()), *self._framer.scan_silence()]:
+            self._judge(frame, now)
         if self._call is not None:
             self._search(self._call, now)
 

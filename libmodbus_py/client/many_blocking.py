@@ -301,7 +301,7 @@ class BlockingMany(BlockingFunctions):
         raised(outcomes, (ModbusError,))
         if return_exceptions and NOT_ASKED in outcomes:
             refusals.first += 1
-            silence = next(each for each in outcomes if isinstance(each, SILENCE))
+            silence = next(outcome for outcome in outcomes if isinstance(outcome, SILENCE))
             outcomes = [_given_up(call, silence) for call in batch.calls]
         last = len(reads) - first
         return outcomes[last:] + outcomes[:last]

@@ -100,11 +100,11 @@ def checked_options(
         TypeError, ValueError: an option of the wrong name, type or range.
     """
     rows = {name: row for name, row in rows_of(AsyncOptions).items() if name not in SERIAL_OPTIONS}
-    known = [name for name in rows if name in kind.__annotations__]
+    names = [name for name in rows if name in kind.__annotations__]
     for name in (*endpoint.client_options, *options):
-        if name not in known:
+        if name not in names:
             of_line = () if endpoint.has_transactions else options_of(endpoint.scheme)
-            raise unknown_option(name, [*known, *of_line])
+            raise unknown_option(name, [*names, *of_line])
     defaults = {name: row.default for name, row in rows.items()}
     settings = {**defaults, **usual, **endpoint.client_options, **options}
     for name, value in settings.items():

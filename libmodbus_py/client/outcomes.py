@@ -47,7 +47,7 @@ class Outcomes:
     """Decides about requests without a result; the endpoint and the port are for errors."""
 
     def __init__(
-        self, endpoint: Endpoint, port: Port, queue: Queue, life: Reconnecting, counted: Statistics
+        self, endpoint: Endpoint, port: Port, queue: Queue, life: Reconnecting, counts: Statistics
     ) -> None:
         self._place = str(endpoint)
         self._scheme = endpoint.scheme
@@ -55,7 +55,7 @@ class Outcomes:
         self._queue = queue
         self._matching = queue.matching
         self._life = life
-        self._statistics = counted
+        self._statistics = counts
 
     def note_invalid(self, mistake: BaseException, call: Call, now: float) -> None:
         """Note what the class of a request raised for a reply: it refused it, or is wrong."""
@@ -138,13 +138,13 @@ def add_hint(error: ModbusError, hint: str) -> None:
     error.args = (f"{error.args[0]}; {hint}",) if hint else error.args
 
 
-def explain(scheme: str, sent: bytes, received: bytes) -> str:
+def explain(scheme: str, request: bytes, received: bytes) -> str:
     """Return the likely mistake if such bytes, which are no answer, come; "" if there is none."""
     framing, _ = SCHEMES[scheme]  # type: ignore[index]
     # The header of a TLS record (RFC 8446, 5.1).
     if scheme in PLAIN and re.match(rb"[\x14-\x17]\x03[\x00-\x04]..", received, re.DOTALL):
         return "this looks like tls://"
-    if framing in ("rtu", "ascii") and received.startswith(sent):
+    if framing in ("rtu", "ascii") and received.startswith(request):
         return "the request itself came back; echo=True?"
     for looks_so, other in _LOOKS.items():
         if other != framing and framing != "udp" and looks_so(received):
@@ -152,7 +152,7 @@ def explain(scheme: str, sent: bytes, received: bytes) -> str:
             return f"this looks like {other}{'+tcp' * is_on_tcp}://"
     if TRANSPORTS[SCHEMES[scheme][1]].is_listening:  # type: ignore[index]
         return "a registration packet or heartbeat? see greeting"
-    unit, function = sent[0], sent[1]
+    unit, function = request[0], request[1]
     starts = (bytes([unit, function]), bytes([unit, function | 0x80]))
     if scheme == "rtu" and not any(start in received for start in starts):
         return "only noise; baud rate, parity, A and B swapped?"

@@ -86,21 +86,21 @@ class Queue:
 
     def _next_on_line(self, now: float) -> Call | None:
         """As `next`; a request that waits holds back those for the same unit, and broadcasts."""
-        held: set[int] = set()
+        units: set[int] = set()
         for call in self.calls:
             due = self.again.get(call, 0.0)
             if call.is_done:
                 self.remove(call)
-            elif 0 in held or call.unit in held or (call.unit == 0 and held):
-                held.add(call.unit)
+            elif 0 in units or call.unit in units or (call.unit == 0 and units):
+                units.add(call.unit)
             elif due > now:
                 self.matching.wake(due)
-                held.add(call.unit)
+                units.add(call.unit)
             elif self.matching.may_start(call, now):
                 self.remove(call)
                 return call
             else:
-                held.add(call.unit)
+                units.add(call.unit)
         return None
 
     def put_again(self, call: Call, due: float) -> None:
@@ -148,10 +148,10 @@ class Queue:
         calls = [*self.again, *self.waiting]
         self.again = {call: due for call, due in self.again.items() if call in later}
         self.waiting = deque(call for call in self.waiting if call in later)
-        drained = [call for call in calls if call not in later]
-        for call in drained:
+        others = [call for call in calls if call not in later]
+        for call in others:
             self.note_end(call)
-        return drained
+        return others
 
     def clear(self) -> None:
         """Forget all requests, and those in flight."""

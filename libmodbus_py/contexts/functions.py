@@ -126,8 +126,8 @@ class Functions(ContextBase):
         """
         if not isinstance(request, pdu.Request):
             raise TypeError(f"request must be a Request of pdu, not {type(request).__name__}")
-        encoded = request.encode()
-        result: Result = self._transact(request, lambda: self._exchange(request, encoded))
+        request_pdu = request.encode()
+        result: Result = self._transact(request, lambda: self._exchange(request, request_pdu))
         return result
 
     def read_exception_status(self) -> int:
@@ -240,10 +240,10 @@ class Functions(ContextBase):
         else:
             self._transact(request, lambda: check(function(self._modbus, *data)))
 
-    def _exchange(self, request: pdu.Request[Result], encoded: bytes) -> Any:
+    def _exchange(self, request: pdu.Request[Result], request_pdu: bytes) -> Any:
         self._discard_input()
         unit = self.unit
-        body = bytes([unit]) + encoded
+        body = bytes([unit]) + request_pdu
         check(lib.modbus_send_raw_request(self._modbus, body, len(body)))
         if self._is_serial and unit == 0:
             self._wait(-1, READ, time.monotonic() + CLIENT_OPTIONS["turnaround"].default)

@@ -93,9 +93,9 @@ class Authorization:
 
 def what_is_asked(asked: Asked) -> str:
     """Return function and unit of a request, and what it touches first, for the log."""
-    touched = [f"write {_range_text(access)}" for access in asked.writes[:1]]
-    touched += [f"read {_range_text(access)}" for access in asked.reads[:1]]
-    return ", ".join([f"function {asked.function} of unit {asked.unit}", *touched])
+    ranges = [f"write {_range_text(access)}" for access in asked.writes[:1]]
+    ranges += [f"read {_range_text(access)}" for access in asked.reads[:1]]
+    return ", ".join([f"function {asked.function} of unit {asked.unit}", *ranges])
 
 
 def _range_text(access: Access) -> str:

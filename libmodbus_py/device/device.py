@@ -201,8 +201,8 @@ class Device(NamedValues, PythonFunctions):
         rules = PointRules(self._ruled_cells(), lambda: self.points)
         self._rules = rules if rules.reads or rules.writes else None
         reads, writes = (
-            {table: joined([*hooked[table], *ruled.get(table, ())]) for table in hooked}
-            for hooked, ruled in (
+            {table: joined([*places[table], *more.get(table, ())]) for table in places}
+            for places, more in (
                 (self._hooks.reads, rules.reads),
                 (self._hooks.writes, rules.writes),
             )

@@ -163,8 +163,8 @@ class PythonFunctions:
             sub_function = pdu.SubFunction(request.sub_function)
         except ValueError:
             raise IllegalFunction(f"no sub-function {request.sub_function}") from None
-        silencing = (pdu.SubFunction.RESTART_COMMUNICATIONS, pdu.SubFunction.FORCE_LISTEN_ONLY)
-        if sub_function in silencing and not log.is_serial:
+        silences = (pdu.SubFunction.RESTART_COMMUNICATIONS, pdu.SubFunction.FORCE_LISTEN_ONLY)
+        if sub_function in silences and not log.is_serial:
             raise IllegalFunction("one client must not silence the device for all")
         values = _DATA.get(sub_function, (b"\0\0",))
         if values is not None and data not in values:
@@ -238,8 +238,8 @@ def _bound(handlers: Handlers | None) -> dict[type[pdu.Request[Any]], Callable[.
         if not (isinstance(request, type) and issubclass(request, pdu.Request)):
             raise TypeError(f"handlers must be {{request class: function}}, not {request!r}")
         checked_callback(("handlers", request.__name__), handle)  # a better name than below
-        measured = timed(f"the handler of {request.__name__}", handle)
-        bound[request] = lambda device, request, log, measured=measured: measured(request)
+        call = timed(f"the handler of {request.__name__}", handle)
+        bound[request] = lambda device, request, log, call=call: call(request)
     return bound
 
 

@@ -156,9 +156,9 @@ def _call(hook: Hook | None, accesses: tuple[Access, ...]) -> None:
 
 
 def _places(*hooks: Hook | None) -> dict[str, tuple[range, ...]]:
-    used = [hook for hook in hooks if hook is not None]
+    present = [hook for hook in hooks if hook is not None]
     return {
-        table: joined(run for hook in used for run in hook.in_table(table)) for table in READABLE
+        table: joined(run for hook in present for run in hook.in_table(table)) for table in READABLE
     }
 
 

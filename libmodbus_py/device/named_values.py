@@ -248,8 +248,8 @@ class PointRules:
                 if touches(ranges, access.address, access.count):
                     span = f"{access.table} {access.address}..{access.address + access.count - 1}"
                     raise IllegalDataAddress(f"{span} cannot all be {verb}")
-        bounded = [point for access in touched.writes for point in self._bounded.touched(access)]
-        if not bounded:
+        points = [point for access in touched.writes for point in self._bounded.touched(access)]
+        if not points:
             return
         from ..maps.writing import check_cells
 
@@ -260,7 +260,7 @@ class PointRules:
             for address, value in enumerate(write.values, write.address)
         }
         try:
-            for point in bounded:
+            for point in points:
                 source = source_after(point, self._points(), mapping, writes)
                 check_cells(point, cells_after(point, mapping, writes), source=source)
         except ValueError as error:

@@ -127,9 +127,9 @@ class CsvText:
         head = 0, CsvRow(1, []), 0
         try:
             for at, row in enumerate(islice(self._rows(delimiter), 31)):  # up to 30 lines of titles
-                known = sum(map(is_known, row.cells))
-                if at == 0 or (known > head[0] and known >= 2):
-                    head = known, row, at  # perhaps below a row of groups of columns
+                count = sum(map(is_known, row.cells))
+                if at == 0 or (count > head[0] and count >= 2):
+                    head = count, row, at  # perhaps below a row of groups of columns
                 elif head[0] >= 2:
                     break
         except FileError:

@@ -175,12 +175,12 @@ def in_bytes(name: str | Path, text: object, low: str, high: str) -> int:
 def _amount(
     name: str | Path, text: object, units: dict[str, int], low: str, high: str, what: str
 ) -> float:
-    allowed = f'must be {what} in "{low}".."{high}"'
+    rule = f'must be {what} in "{low}".."{high}"'
     if not isinstance(text, str):
-        raise WrongType(name, f"{allowed}, not {type(text).__name__}")
+        raise WrongType(name, f"{rule}, not {type(text).__name__}")
     amount = _in_units(text, units)
     if not _in_units(low, units) <= amount <= _in_units(high, units):
-        raise WrongValue(name, f"{allowed}, not {text[:40]!r}")
+        raise WrongValue(name, f"{rule}, not {text[:40]!r}")
     return amount
 
 

@@ -136,11 +136,11 @@ def _spreadsheet(
         raise kind("sheet", reason, place=place)
     name = sheet or book.sheetnames[0]
     rows = [[*row] for row in book[name].iter_rows(values_only=True)]
-    for merged in book[name].merged_cells.ranges:  # each row has what several rows share
-        for row in rows[merged.min_row : merged.max_row]:
-            row[merged.min_col - 1] = rows[merged.min_row - 1][merged.min_col - 1]
+    for area in book[name].merged_cells.ranges:  # each row has what several rows share
+        for row in rows[area.min_row : area.max_row]:
+            row[area.min_col - 1] = rows[area.min_row - 1][area.min_col - 1]
     text = "".join(f"{','.join(map(_quoted, row))}\n" for row in rows)
-    others = [each for each in book.sheetnames if each != name]
+    others = [title for title in book.sheetnames if title != name]
     return text, f"read sheet {name}, not {', '.join(others)}" if others else ""
 
 
@@ -208,17 +208,17 @@ def line_of(text: str, path: Path) -> int | None:
     """Return the line, from 1, of a key of a TOML document, or of what is around it."""
     nearest, depth = None, 0
     for line, other in _paths(text):
-        shared = 0
-        while other[: shared + 1] == path[: shared + 1] and shared < min(len(other), len(path)):
-            shared += 1
-        if shared > depth:
-            nearest, depth = line, shared
+        length = 0
+        while other[: length + 1] == path[: length + 1] and length < min(len(other), len(path)):
+            length += 1
+        if length > depth:
+            nearest, depth = line, length
     return nearest
 
 
 def _paths(text: str) -> Iterator[tuple[int, Path]]:
     """Yield each line that contains a header or a key, with its path."""
-    seen: Counter[Path] = Counter()
+    counts: Counter[Path] = Counter()
     table: Path = ()
     # Not splitlines, which accepts more line endings than TOML.
     for line, content in enumerate(text.split("\n"), start=1):
@@ -226,17 +226,17 @@ def _paths(text: str) -> Iterator[tuple[int, Path]]:
             parts = re.findall(_PART, match[2] or match[3])
             names = [shown_key(part.strip("\"'")) for part in parts]
             if match[1]:
-                table = _table_path(names, match[1] == "[[", seen)
+                table = _table_path(names, match[1] == "[[", counts)
             yield line, table if match[1] else (*table, *names)
 
 
-def _table_path(names: list[str], is_array: bool, seen: Counter[Path]) -> Path:
+def _table_path(names: list[str], is_array: bool, counts: Counter[Path]) -> Path:
     """Return the path of a table with indices; arrays around the table are at their last item."""
     path: Path = ()
     for depth, name in enumerate(names, start=1):
         path = (*path, name)
         if depth == len(names) and is_array:
-            seen[path] += 1
-        if seen[path]:
-            path = (*path, seen[path] - 1)
+            counts[path] += 1
+        if counts[path]:
+            path = (*path, counts[path] - 1)
     return path

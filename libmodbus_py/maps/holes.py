@@ -177,8 +177,8 @@ class _PlanRun:
     def tolerant(self) -> _PlanSteps[list[Any]]:
         """Read all pieces but the holes, and search for others."""
         self._forget_old_cuts()
-        known = self._holes.refused.copy()
-        left_out = {piece: known[piece.span] for piece in self._pieces if piece.span in known}
+        reasons = self._holes.refused.copy()
+        left_out = {piece: reasons[piece.span] for piece in self._pieces if piece.span in reasons}
         self._read = {piece.span: alike(hole.error) for piece, hole in left_out.items()}
         portions = self._portions()
         trials = sorted(left_out, key=lambda piece: left_out[piece].at)[:1]
@@ -202,28 +202,28 @@ class _PlanRun:
         """Read everything; or return the first error, with the names of a piece refused alone."""
         self._forget_old_cuts()
         # Each with the refusal of the longer block that it is a part of.
-        pending: list[tuple[Block, ModbusError | None]]
-        pending = [(block, None) for block in self._portions()]
-        halved: list[tuple[Block, Block, ModbusError]] = []
+        blocks: list[tuple[Block, ModbusError | None]]
+        blocks = [(block, None) for block in self._portions()]
+        halves: list[tuple[Block, Block, ModbusError]] = []
         spans: set[Span] = set()
-        while pending:
-            outcomes = yield [_request(block) for block, _ in pending]
-            count = self._keep_answers(pending, outcomes)
-            if count == len(pending):
+        while blocks:
+            outcomes = yield [_request(block) for block, _ in blocks]
+            count = self._keep_answers(blocks, outcomes)
+            if count == len(blocks):
                 break
-            (block, reason), outcome, rest = pending[count], outcomes[count], pending[count + 1 :]
+            (block, reason), outcome, rest = blocks[count], outcomes[count], blocks[count + 1 :]
             if not is_refusal(outcome):
                 return [reason or outcome]
             if len(block) == 1:
                 return [self._named(block[0])]
             if pieces := [piece for piece in block if piece.span in self._holes.refused][:1]:
-                pending = [(pieces, outcome), (block, reason), *rest]
+                blocks = [(pieces, outcome), (block, reason), *rest]
                 continue
             first, second = _halves(block)
-            halved.append((first, second, outcome))
+            halves.append((first, second, outcome))
             spans.add(_span(block))
-            pending = [(first, outcome), (second, outcome), *rest]
-        for first, second, error in halved:
+            blocks = [(first, outcome), (second, outcome), *rest]
+        for first, second, error in halves:
             if spans.isdisjoint((_span(first), _span(second))):
                 self._add_cut(second, error)
         return [self._answer(block) for block in self._blocks]

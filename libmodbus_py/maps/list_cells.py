@@ -37,8 +37,8 @@ def _word(meanings: Mapping[str, str]) -> Callable[[str], str]:
     def read(text: str) -> str:
         if meaning := meanings.get(word_of(text)):
             return meaning
-        allowed = ", ".join(dict.fromkeys(meanings.values()))
-        raise WrongValue((), f"must be one of {allowed}, not {reprlib.repr(text)}")
+        choices = ", ".join(dict.fromkeys(meanings.values()))
+        raise WrongValue((), f"must be one of {choices}, not {reprlib.repr(text)}")
 
     return read
 
@@ -53,8 +53,8 @@ def _function(text: str) -> str:
     """Return the table of "3", "03/06/16", "0x04" or "FC 3"."""
     tables = {FUNCTION_TABLES.get(int(code)) for code in _FUNCTION.findall(text.casefold())}
     if len(tables) != 1 or None in tables:
-        allowed = ", ".join(map(str, FUNCTION_TABLES))
-        raise WrongValue((), f"must be of {allowed}, all of one table, not {reprlib.repr(text)}")
+        choices = ", ".join(map(str, FUNCTION_TABLES))
+        raise WrongValue((), f"must be of {choices}, all of one table, not {reprlib.repr(text)}")
     return str(*tables)
 
 
@@ -255,22 +255,22 @@ class SaidColumns(NamedTuple):
         headings = {kinds.get(word_of(kind), kind): text for kind, text in headings.items()}
         for kind in headings:
             if kind not in READERS:
-                allowed = ", ".join((*READERS, NOTHING))
+                choices = ", ".join((*READERS, NOTHING))
                 hint = close_to(kind, READERS)
-                raise ValueError(f"columns must name some of {allowed}, not {kind!r}{hint}")
+                raise ValueError(f"columns must name some of {choices}, not {kind!r}{hint}")
         return cls(headings, frozenset(map(word_of, ignored)))
 
 
 def find_columns(
-    head: CsvRow, said: SaidColumns, origin: Origin, error: Callable[[str], Exception]
+    head: CsvRow, option: SaidColumns, origin: Origin, error: Callable[[str], Exception]
 ) -> tuple[dict[str, ListColumn], list[str]]:
     """
     Return the columns of a row of headings by their kinds, and the headings that mean nothing;
     raise what `error` makes of a reason if a heading has two meanings, or one is missing.
     """
     cells = [" ".join(cell.split()) for cell in head.cells]
-    by_heading = {word_of(heading): kind for kind, heading in said.headings.items()}
-    for key, heading in said.headings.items():
+    by_heading = {word_of(heading): kind for kind, heading in option.headings.items()}
+    for key, heading in option.headings.items():
         if word_of(heading) not in map(word_of, cells):
             raise error(f"no column {heading}, which is named for {key}")
     columns: dict[str, ListColumn] = {}
@@ -280,7 +280,7 @@ def find_columns(
     headings = [(at, heading) for at, heading in enumerate(cells) if heading]
     for at, heading in sorted(headings, key=lambda column: word_of(column[1]) not in KEYS):
         word, base = without_base(word_of(heading))
-        kind = by_heading.get(word_of(heading)) or _kind(heading, word, said, origin, error)
+        kind = by_heading.get(word_of(heading)) or _kind(heading, word, option, origin, error)
         if kind is None:
             ignored.append(heading)
             continue
@@ -307,34 +307,34 @@ def find_columns(
 
 
 def _kind(
-    heading: str, word: str, said: SaidColumns, origin: Origin, error: Callable[[str], Exception]
+    heading: str, word: str, option: SaidColumns, origin: Origin, error: Callable[[str], Exception]
 ) -> str | None:
     """Return the kind of a heading that is not named in the options; None if it has none."""
-    if word_of(heading) in said.ignored:
+    if word_of(heading) in option.ignored:
         return None
     for text in (word_of(heading), word, word.removeprefix("modbus ")):
         if text in origin.columns:
             return origin.columns[text] or None
         kind = HEADINGS_OF_KINDS.get(text, words().headings.get(text))
-        if kind in said.headings:
+        if kind in option.headings:
             return None  # another column is said to hold it
         if kind is not None:
             return kind
     ambiguous = words().ambiguous
     if (key := ambiguous.get(word_of(heading), ambiguous.get(word))) is not None:
         choices = words().choices[key]
-        if not choices.keys().isdisjoint(said.headings):
+        if not choices.keys().isdisjoint(option.headings):
             return None
         meanings = ", or ".join(
             f"{_option(kind, heading)} if {text}" for kind, text in choices.items()
         )
         raise error(f"column {heading} has two meanings: say {meanings}")
-    alarming = words().alarming
-    spaced = word_of(re.sub("(?<=[a-z])(?=[A-Z])", " ", heading))  # of valueFormat
-    parts = [*word.split(), *spaced.split()]
-    parts += [part for part in alarming if not part.isascii() and part in word]
-    kinds = [alarming[part] for part in parts if part in alarming]
-    if kinds and word not in words().harmless and kinds[0] not in said.headings:
+    kinds_of_parts = words().alarming
+    words_of_heading = word_of(re.sub("(?<=[a-z])(?=[A-Z])", " ", heading))  # of valueFormat
+    parts = [*word.split(), *words_of_heading.split()]
+    parts += [part for part in kinds_of_parts if not part.isascii() and part in word]
+    kinds = [kinds_of_parts[part] for part in parts if part in kinds_of_parts]
+    if kinds and word not in words().harmless and kinds[0] not in option.headings:
         advice = f"{_option(kinds[0], heading)}, or {_option(NOTHING, heading)} to ignore it"
         raise error(f"column {heading} is not known: say {advice}")
     return None

@@ -96,8 +96,8 @@ class ListWords:
         self.types: Mapping[str, str] = _by_word(content["types"])
         self.ambiguous_types: Mapping[str, str] = _by_word(content["ambiguous_types"])
         self.origins: Mapping[str, Origin] = {
-            name: Origin(**{key: _keyed(value) for key, value in described.items()})
-            for name, described in content["origins"].items()
+            name: Origin(**{key: _keyed(value) for key, value in keys.items()})
+            for name, keys in content["origins"].items()
         }
 
 
@@ -168,17 +168,17 @@ class ListOptions:
                 raise WrongType(name, f"must be a mapping, not {getattr(self, name)!r}")
         lengths = ("bytes", "registers")
         choices = {"origin": words().origins, "lengths": lengths, "access": ACCESSES}
-        for name, allowed in choices.items():
+        for name, values in choices.items():
             value = getattr(self, name)
-            if value is not None and value not in allowed:
-                reason = f"must be one of {', '.join(allowed)}, not {value!r}"
-                raise WrongValue(name, reason + close_to(value, allowed))
+            if value is not None and value not in values:
+                reason = f"must be one of {', '.join(values)}, not {value!r}"
+                raise WrongValue(name, reason + close_to(value, values))
         for name, meanings in (("table", TABLE_WORDS), ("order", ORDER_WORDS)):
             if (value := getattr(self, name)) is None:
                 continue
             if (meaning := meanings.get(plain(str(value)))) is None:
-                allowed = ", ".join(dict.fromkeys(meanings.values()))
-                raise WrongValue(name, f"must be one of {allowed}, not {value!r}")
+                values = ", ".join(dict.fromkeys(meanings.values()))
+                raise WrongValue(name, f"must be one of {values}, not {value!r}")
             store(self, **{name: meaning})
         if self.first_address not in (None, REFERENCE):
             if isinstance(self.first_address, str) and self.first_address.isdecimal():

@@ -208,12 +208,12 @@ class RegisterList:
         counts = Counter(names.values())
         if self._options.origin is None:
             return names
-        repeated = [row for row in self._rows if counts[names[row.line]] > 1 and names[row.line]]
-        for row in repeated:
+        duplicates = [row for row in self._rows if counts[names[row.line]] > 1 and names[row.line]]
+        for row in duplicates:
             names[row.line] += f" {_cell(row, self._columns['address'].at)}"
-        if repeated:
-            lines = ", ".join(str(row.line) for row in repeated[:MOST_NAMED])
-            more = " ..." * (len(repeated) > MOST_NAMED)
+        if duplicates:
+            lines = ", ".join(str(row.line) for row in duplicates[:MOST_NAMED])
+            more = " ..." * (len(duplicates) > MOST_NAMED)
             self.notes.append(f"names that occur twice have their address behind: {lines}{more}")
         return names
 

@@ -178,9 +178,9 @@ class Plan:
                 reason = f"{read.type} takes {read.size} registers"
                 limit = f"which is more than max_registers, {max_registers}"
                 raise ValueError(f"items[{name!r}]: {reason}, {limit}")
-            for closed in self._forbidden[read.table]:
-                if touches([closed], read.address, len(read.cells)):
-                    raise ValueError(f"items[{name!r}]: {read} touches the forbidden {closed}")
+            for run in self._forbidden[read.table]:
+                if touches([run], read.address, len(read.cells)):
+                    raise ValueError(f"items[{name!r}]: {read} touches the forbidden {run}")
             for border in self._borders[read.table]:
                 if border in read.cells and (border - read.address) % read.size:
                     raise ValueError(f"items[{name!r}]: {read} has a value across {border}")
@@ -200,12 +200,12 @@ class Plan:
                 windows.append(range(start, start))
             first = windows[-1].start
             end = min(first + limit, self._next_border(table, start))
-            reached = min(stop, start + (end - start) // step * step)
-            windows[-1] = range(first, max(windows[-1].stop, reached))
+            edge = min(stop, start + (end - start) // step * step)
+            windows[-1] = range(first, max(windows[-1].stop, edge))
             number = len(self._requests) + len(windows) - 1
-            self._parts[items[at][0]].append(_Part(number, start - first, reached - first))
-            if reached < stop:
-                heappush(pieces, _Rest(reached, stop, at, step))
+            self._parts[items[at][0]].append(_Part(number, start - first, edge - first))
+            if edge < stop:
+                heappush(pieces, _Rest(edge, stop, at, step))
         make = TABLES[table].read
         self._requests += [make(window.start, len(window)) for window in windows]
 
@@ -253,14 +253,14 @@ def unreadable_of(plan: Plan, holes: Holes, device: str) -> list[Unreadable]:
 
 
 def _checked_forbidden(forbidden: object) -> dict[str, tuple[range, ...]]:
-    closed: dict[str, list[range]] = {table: [] for table in TABLES}
+    ranges_of: dict[str, list[range]] = {table: [] for table in TABLES}
     pairs = list(forbidden) if isinstance(forbidden, Iterable) else [forbidden]
     for at, pair in enumerate(pairs):
         if not isinstance(pair, tuple) or len(pair) != 2 or not isinstance(pair[1], range):
             raise WrongType(("forbidden", at), f"must be a pair (table, range), not {pair!r}")
         with inside("forbidden", at):
-            closed[checked_table(pair[0])] += checked_ranges("the range", pair[1])
-    return {table: joined(ranges) for table, ranges in closed.items()}
+            ranges_of[checked_table(pair[0])] += checked_ranges("the range", pair[1])
+    return {table: joined(ranges) for table, ranges in ranges_of.items()}
 
 
 def _checked_borders(borders: Borders) -> dict[str, list[int]]:

@@ -343,11 +343,11 @@ def attribute_names(names: Iterable[str]) -> dict[str, str]:
     """Return the attribute for the name of each point, by the rules of `BoundMap`."""
     names = list(names)
     attributes = {name: name for name in names if _identifier(name) == name}
-    taken = {*attributes}
+    others = {*attributes}
     for name in names:
         if name not in attributes:
-            attributes[name] = _free(_identifier(name), taken)
-            taken.add(attributes[name])
+            attributes[name] = _free(_identifier(name), others)
+            others.add(attributes[name])
     return {name: attributes[name] for name in names}
 
 
@@ -366,6 +366,6 @@ def spelled(name: str) -> str:
     return unicodedata.normalize("NFKC", re.sub(" +", "_", text))
 
 
-def _free(text: str, taken: set[str]) -> str:
+def _free(text: str, attributes: set[str]) -> str:
     others = (f"{text}_{number}" for number in count(2))
-    return next(name for name in chain([text], others) if name not in taken)
+    return next(name for name in chain([text], others) if name not in attributes)

@@ -141,13 +141,13 @@ class PointPlan(Plan):
 
     def _data(self, answers: list[Any]) -> list[Any]:
         """Return the bytes of each answer, and its registers in each of `FORMS`."""
-        packed = [_packed(answer) for answer in answers]
-        unpacked = [
+        octets = [_packed(answer) for answer in answers]
+        registers = [
             data and struct.unpack(f">{len(data) // 2}{form}", data)
             for form in FORMS.values()
-            for data in packed
+            for data in octets
         ]
-        return packed + unpacked
+        return octets + registers
 
     def results(
         self, answers: Iterable[Sequence[Any] | ModbusError], *, return_exceptions: bool = False

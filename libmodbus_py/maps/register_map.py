@@ -112,9 +112,9 @@ class RegisterMap(Mapping[str, Point]):
             NoValue: a value of `sources` is missing or no scale.
         """
         self.scale_sources(values)
-        known = sources or {}
+        scales = sources or {}
         changes = [
-            (point, values[name], known.get(point.scale_from or ""))
+            (point, values[name], scales.get(point.scale_from or ""))
             for name, point in self.items()
             if name in values
         ]

@@ -59,17 +59,17 @@ class Scaling:
     def to_value(self, raw: float) -> int | float:
         """Return the scaled value of a raw number; infinity and nan stay what they are."""
         if not isinstance(raw, float):
-            scaled = raw * self._factor + self._shift
+            value = raw * self._factor + self._shift
             # Python divides integers exactly, and rounds once.
-            return scaled if self._divisor == 1 else scaled / self._divisor
+            return value if self._divisor == 1 else value / self._divisor
         if not math.isfinite(raw):
             return raw * self._factor
         above, below = _as_written(raw)
-        scaled = above * self._factor + below * self._shift
+        value = above * self._factor + below * self._shift
         try:
-            return scaled / (below * self._divisor)
+            return value / (below * self._divisor)
         except OverflowError:
-            return math.inf if scaled > 0 else -math.inf  # too large for copysign, too
+            return math.inf if value > 0 else -math.inf  # too large for copysign, too
 
     def to_whole(self, value: object) -> int:
         """Return the nearest raw number; of two equally near ones, the even one."""

@@ -94,19 +94,19 @@ def write_requests(
     `function` is for the points that name none of their own.
     """
     runs: list[_Run | _Masked] = []
-    masked: dict[int, _Masked] = {}
+    masks_by_address: dict[int, _Masked] = {}
     pairs = [(point, point.change(value, source=source)) for point, value, source in changes]
     check_overlaps(pairs)
     for point, (cells, masks) in pairs:
         own = point.write_function or function
         if masks is not None:
             for address, bits, mask in zip(point.cells, cells, masks, strict=True):
-                if mask and address not in masked:
-                    masked[address] = _Masked(address, own)
-                    runs.append(masked[address])
+                if mask and address not in masks_by_address:
+                    masks_by_address[address] = _Masked(address, own)
+                    runs.append(masks_by_address[address])
                 if mask:
-                    masked[address].bits |= bits
-                    masked[address].mask |= mask
+                    masks_by_address[address].bits |= bits
+                    masks_by_address[address].mask |= mask
             continue
         for piece in _pieces(point, cells, own):
             last = runs[-1] if runs else None
@@ -130,10 +130,10 @@ def _pieces(point: Point, cells: list[Any], function: WriteFunction) -> Iterator
 
 def check_overlaps(changes: Iterable[tuple[Point, CellChange]]) -> None:
     """Raise ValueError, with both names, if two changes of points share cells or bits of them."""
-    ordered = sorted(changes, key=lambda change: (change[0].table, change[0].address))
+    pairs = sorted(changes, key=lambda change: (change[0].table, change[0].address))
     # Bits that are taken in the cells of the table, and the point that takes them first.
     writers: dict[tuple[str, int], tuple[int, str]] = {}
-    for point, (_, masks) in ordered:
+    for point, (_, masks) in pairs:
         for at, address in enumerate(point.cells):
             mask = 0xFFFF if masks is None else masks[at]
             before, first = writers.get((point.table, address), (0, point.name))
@@ -221,8 +221,8 @@ def _state(point: Point, states: Mapping[Any, str], text: str) -> Any:
     try:
         return number_of("value", text) if kind is None else value_of(text, kind)
     except ValueError:
-        allowed = ", ".join(states.values())
-        raise ValueError(f"value must be one of {allowed}, or a number, not {text!r}") from None
+        choices = ", ".join(states.values())
+        raise ValueError(f"value must be one of {choices}, or a number, not {text!r}") from None
 
 
 def _named_bits(text: str) -> dict[str, int]:

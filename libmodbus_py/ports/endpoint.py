@@ -206,8 +206,8 @@ def _wrong_scheme(scheme: str) -> str:
             "RFC 2217 is not supported; set the line in the serial device server, let it pass raw "
             "bytes (its mode is called raw, socket or TCP server), and use rtu+tcp://"
         )
-    meant = OTHER_SCHEMES.get(re.sub("[^a-z]", "", scheme))
-    close = f"; did you mean {meant}://?" if meant else close_to(scheme, SCHEMES)
+    suggestion = OTHER_SCHEMES.get(re.sub("[^a-z]", "", scheme))
+    close = f"; did you mean {suggestion}://?" if suggestion else close_to(scheme, SCHEMES)
     return f"the scheme must be one of {', '.join(SCHEMES)}{close}"
 
 
@@ -224,9 +224,9 @@ def url_of(text: str) -> str:
         if re.fullmatch("[0-9,-]+", place):
             raise ValueError
     except ValueError:
-        shown = re.sub(PASSWORD, "***", text)
+        url = re.sub(PASSWORD, "***", text)
         raise ValueError(
-            f"{shown!r}: must be a URL, such as tcp://192.0.2.10, a host or a path of a serial port"
+            f"{url!r}: must be a URL, such as tcp://192.0.2.10, a host or a path of a serial port"
         ) from None
     at = host_and_port(_zoned(host), DEFAULT_PORT if port is None else port)
     return f"tcp://{at}{mark}{query}"
@@ -267,15 +267,15 @@ def _options(
     """Return the options of the endpoint itself, and those of clients."""
     from urllib.parse import parse_qsl
 
-    allowed = {**own, **CLIENT_OPTIONS}
+    choices = {**own, **CLIENT_OPTIONS}
     options: dict[str, Any] = {}
     for name, text in parse_qsl(query, keep_blank_values=True, errors="surrogateescape"):
-        if name not in allowed:
-            close = close_option(name, allowed)
-            raise ValueError(f"{url!r}: {name!r} must be one of {', '.join(allowed)}{close}")
+        if name not in choices:
+            close = close_option(name, choices)
+            raise ValueError(f"{url!r}: {name!r} must be one of {', '.join(choices)}{close}")
         if name in options:
             raise ValueError(f"{url!r}: {name} is given twice")
-        form = allowed[name].form
+        form = choices[name].form
         try:
             options[name] = form.convert(text)
         except ValueError:

@@ -67,8 +67,8 @@ def own_address(name: str, text: object) -> tuple[socket.AddressFamily, tuple[st
     try:
         socket.inet_pton(family, host.partition("%")[0])
     except OSError:
-        wanted = "an address of this machine, such as 192.0.2.5 or 192.0.2.5:40000"
-        raise ValueError(f"{name} must be {wanted}, not {text!r}") from None
+        form = "an address of this machine, such as 192.0.2.5 or 192.0.2.5:40000"
+        raise ValueError(f"{name} must be {form}, not {text!r}") from None
     return family, (host, port or 0)
 
 
@@ -93,8 +93,8 @@ def is_loopback(host: str) -> bool:
         address = ip_address(host)
     except ValueError:
         return False
-    mapped = address.ipv4_mapped if isinstance(address, IPv6Address) else None
-    return (mapped or address).is_loopback
+    ipv4 = address.ipv4_mapped if isinstance(address, IPv6Address) else None
+    return (ipv4 or address).is_loopback
 
 
 def is_this_machine(host: str) -> bool:
@@ -129,14 +129,14 @@ class Resolve(NamedTuple):
 class Question:
     """A name that is looked up in a thread, for all that ask for it meanwhile."""
 
-    def __init__(self, wanted: Resolve) -> None:
+    def __init__(self, lookup: Resolve) -> None:
         self.notes: list[Callable[[], object]] = []  # called in that thread at the end
-        self._wanted = wanted
+        self._lookup = lookup
         self._outcome: list[Any] | Exception = []
         start_thread(threading.Thread(target=self._look_up, name="look-up", daemon=True))
 
     def _look_up(self) -> None:
-        host, port, kind, _, flags = self._wanted
+        host, port, kind, _, flags = self._lookup
         try:
             self._outcome = socket.getaddrinfo(host, port, type=kind, flags=flags)
         except UnicodeError:
@@ -144,7 +144,7 @@ class Question:
         except Exception as error:  # whatever it is, it ends the waits
             self._outcome = error
         with _lock:
-            _asked.pop(self._wanted, None)
+            _asked.pop(self._lookup, None)
         for note in self.notes:
             with contextlib.suppress(Exception):  # a loop that was closed meanwhile
                 note()
@@ -159,9 +159,9 @@ class Question:
         return outcome
 
 
-def ask(wanted: Resolve, note: Callable[[], object]) -> Question:
+def ask(lookup: Resolve, note: Callable[[], object]) -> Question:
     """Look up a name, or share a look-up; `note` is called in its thread, and must not block."""
-    key = wanted._replace(deadline=0.0)
+    key = lookup._replace(deadline=0.0)
     with _lock:
         question = _asked.get(key) or Question(key)
         _asked[key] = question
@@ -169,12 +169,12 @@ def ask(wanted: Resolve, note: Callable[[], object]) -> Question:
     return question
 
 
-def numeric(wanted: Resolve) -> list[Any]:
+def numeric(lookup: Resolve) -> list[Any]:
     """Return the result for a numeric address, which needs no look-up and no thread; else []."""
-    flags = wanted.flags | socket.AI_NUMERICHOST
+    flags = lookup.flags | socket.AI_NUMERICHOST
     try:
         # As bytes, because for text Python would import its codec for international names.
-        return socket.getaddrinfo(wanted.host.encode(), wanted.port, type=wanted.kind, flags=flags)
+        return socket.getaddrinfo(lookup.host.encode(), lookup.port, type=lookup.kind, flags=flags)
     except OSError as error:
         if error.errno is None and error.strerror is None:
             raise  # of a signal handler

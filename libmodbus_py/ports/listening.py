@@ -53,9 +53,9 @@ class Greeting:
 
     def drop(self, data: bytes) -> bytes:
         """Return the received bytes that belong to frames."""
-        dropped = min(self._first, len(data))
-        self._first -= dropped
-        data = self._kept + data[dropped:]
+        count = min(self._first, len(data))
+        self._first -= count
+        data = self._kept + data[count:]
         if not self._texts:
             return data
         self._kept = b""

@@ -148,8 +148,8 @@ class SerialPort(Port):
         }
         if os.major(os.fstat(descriptor).st_rdev) not in PSEUDO_TERMINALS:
             for name, value in actual.items():
-                if value != (wanted := getattr(self, name)):
-                    reason = f"{name} {wanted} refused: the port has {value}"
+                if value != (setting := getattr(self, name)):
+                    reason = f"{name} {setting} refused: the port has {value}"
                     raise OSError(errno.EINVAL, reason)
         rate = _baudrate_of(descriptor) or self.baudrate
         # A receiver tolerates 2 % (serial line, 2.4).

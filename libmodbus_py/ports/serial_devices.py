@@ -32,8 +32,8 @@ class SerialDevice:
 def serial_devices(root: str = "/") -> list[SerialDevice]:
     """Return the serial ports of this machine, sorted by path."""
     base = Path(root)
-    opened, sees_all = open_devices(base)
-    users = {user.path: user for user in opened}
+    uses, sees_all = open_devices(base)
+    users = {user.path: user for user in uses}
     links = sorted((base / "dev/serial/by-id").glob("*"))
     stable = {_target(link): f"/dev/serial/by-id/{link.name}" for link in links}
     devices = []

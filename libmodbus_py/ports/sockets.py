@@ -192,13 +192,13 @@ class StreamPort(SocketPort):
             self._unsent += data
             return
         try:
-            sent = self._socket.send(data)
+            count = self._socket.send(data)
         except BlockingIOError:
-            sent = 0
+            count = 0
         except OSError as error:
             raise lost(error) from error
-        if sent < len(data):
-            self._unsent += data[sent:]
+        if count < len(data):
+            self._unsent += data[count:]
             self.has_unsent = True
 
     def go_on(self, now: float) -> None:

@@ -48,19 +48,19 @@ def security_of(endpoint: Endpoint, security: Given | None) -> Security | Given:
         return security
     if security is not None:
         raise ValueError(f"{endpoint}: security is given as such and in the URL")
-    named: dict[str, Any] = dict(endpoint.options)
-    if "cert" not in named:
+    options: dict[str, Any] = dict(endpoint.options)
+    if "cert" not in options:
         raise ValueError(f"{endpoint} lacks cert, the file with one's own certificate")
-    if ("ca" in named) == ("pin" in named):
+    if ("ca" in options) == ("pin" in options):
         raise ValueError(f"{endpoint} needs either ca, the authorities, or pin, certificates")
-    if "pin" in named:
-        named["pin"] = named["pin"].split(",")
-    if (name := named.pop("password_env", None)) is not None:
+    if "pin" in options:
+        options["pin"] = options["pin"].split(",")
+    if (name := options.pop("password_env", None)) is not None:
         if name not in os.environ:
             raise ValueError(f"password_env: no environment variable {name!r}")
-        named["password"] = os.environ[name]
-    renamed = {"cert": "certificate", "ca": "trust"}
-    return Security(**{renamed.get(name, name): value for name, value in named.items()})
+        options["password"] = os.environ[name]
+    arguments = {"cert": "certificate", "ca": "trust"}
+    return Security(**{arguments.get(name, name): value for name, value in options.items()})
 
 
 class TlsPort(TcpPort):
@@ -148,8 +148,8 @@ class TlsPort(TcpPort):
             tunnel.feed(received)
 
     def _distrusting(self, reason: str, certificate: bytes) -> ModbusConnectionError:
-        shown = f": {describe(certificate)}" if certificate else ""
-        text = f"cannot trust {self}: {reason.rstrip('.')}{shown}"
+        details = f": {describe(certificate)}" if certificate else ""
+        text = f"cannot trust {self}: {reason.rstrip('.')}{details}"
         return ModbusConnectionError(text, errno=KEY_REJECTED)
 
     def _unfinished(self, error: OSError) -> ModbusConnectionError:
@@ -221,8 +221,8 @@ class TlsPort(TcpPort):
             self._end(tunnel, error)
         else:
             if piece is not None:
-                ended = ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
-                self._failure = self._suspecting(ended)
+                reset = ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
+                self._failure = self._suspecting(reset)
             # Delayed requests, and records of OpenSSL itself: a change of keys, an alert.
             self._send(tunnel, b"")
         self._has_answered = self._has_answered or bool(self._received)
@@ -238,9 +238,9 @@ class TlsPort(TcpPort):
             if self._failure is not None and self._tunnel is not None:
                 # In TLS 1.3 a server refuses a certificate when the handshake is over for us,
                 # and what it said is still there.
-                lost, self._failure = self._failure, None
+                failure, self._failure = self._failure, None
                 self.has_input()
-                self._failure = self._failure or lost
+                self._failure = self._failure or failure
         if self._failure is not None:
             raise self._failure
 
@@ -257,8 +257,8 @@ class TlsPort(TcpPort):
         except ssl.SSLError as error:
             self._end(tunnel, error)
         try:
-            if encrypted := tunnel.outgoing():
-                super().send([encrypted], 0.0)
+            if records := tunnel.outgoing():
+                super().send([records], 0.0)
         except ModbusConnectionError as error:
             self._failure = self._failure or self._suspecting(error)
 

@@ -106,23 +106,23 @@ class Trace:
             assert _wire is not None
             self.is_on = partial(_wire.isEnabledFor, 10)
             return
-        traced = Traced(time.time(), self._endpoint, direction, adu, unit, function, self._peer)
+        frame = Traced(time.time(), self._endpoint, direction, adu, unit, function, self._peer)
         if self._later is None:
-            self._publish(traced)
+            self._publish(frame)
         else:
-            self._later("trace", partial(self._publish, traced))
+            self._later("trace", partial(self._publish, frame))
 
-    def _publish(self, traced: Traced) -> None:
+    def _publish(self, frame: Traced) -> None:
         try:
             if _is_logged() and _wire is not None:
-                _wire.debug("%s", traced)
+                _wire.debug("%s", frame)
         except Exception:  # of a log handler
             log_failure(__name__, "%s: a handler of the log failed", WIRE)
         if self._callback is not None:
             try:
-                finished("trace", self._callback(traced))
+                finished("trace", self._callback(frame))
             except Exception:
-                log_failure(__name__, "trace(%s) failed", traced)
+                log_failure(__name__, "trace(%s) failed", frame)
 
 
 def _is_logged() -> bool:

@@ -117,8 +117,8 @@ class Waker:
         ready = dict(poll.poll(milliseconds(min(seconds, LONGEST))))
         if seconds > LONGEST and not ready:
             deadline = self.now() + seconds - LONGEST
-            while not ready and (left := deadline - self.now()) > 0:
-                ready = dict(poll.poll(milliseconds(min(left, LONGEST))))
+            while not ready and (remainder := deadline - self.now()) > 0:
+                ready = dict(poll.poll(milliseconds(min(remainder, LONGEST))))
         if self.descriptor in ready:
             raise Woken
         return ready
@@ -132,18 +132,18 @@ def milliseconds(seconds: float) -> int:
 def run(steps: Steps[Result], waker: Waker) -> Result:
     """Run steps to their end; the waker may end this by Woken."""
     try:
-        wanted = next(steps)
+        step = next(steps)
         while True:
             try:
-                if isinstance(wanted, Resolve):
-                    answer: Any = _look_up(wanted, waker)
+                if isinstance(step, Resolve):
+                    answer: Any = _look_up(step, waker)
                 else:
-                    answer = waker.wait(*wanted)
+                    answer = waker.wait(*step)
             except OSError as error:
                 of_system(error)
-                wanted = steps.throw(error)
+                step = steps.throw(error)
             else:
-                wanted = steps.send(answer)
+                step = steps.send(answer)
     except StopIteration as done:
         result: Result = done.value
         return result
@@ -151,17 +151,17 @@ def run(steps: Steps[Result], waker: Waker) -> Result:
         steps.close()
 
 
-def _look_up(wanted: Resolve, waker: Waker) -> list[Any]:
-    if answer := numeric(wanted):
+def _look_up(lookup: Resolve, waker: Waker) -> list[Any]:
+    if answer := numeric(lookup):
         return answer
-    done = Waker()
+    signal = Waker()
     try:
-        question = ask(wanted, done.wake)
-        if not waker.wait(done.descriptor, READ, wanted.deadline):
+        question = ask(lookup, signal.wake)
+        if not waker.wait(signal.descriptor, READ, lookup.deadline):
             raise timed_out()
         return question.result()
     finally:
-        done.close()  # an error that the caller keeps would keep it open
+        signal.close()  # an error that the caller keeps would keep it open
 
 
 def timed_out() -> TimeoutError:
@@ -182,19 +182,19 @@ def of_system(error: OSError) -> OSError:
 async def run_async(steps: Steps[Result]) -> Result:
     """Run steps to their end in the event loop; cancelling closes them."""
     try:
-        wanted = next(steps)
+        step = next(steps)
         while True:
             try:
                 answer: Any
-                if isinstance(wanted, Resolve):
-                    answer = await look_up(wanted)
+                if isinstance(step, Resolve):
+                    answer = await look_up(step)
                 else:
-                    answer = await _ready(wanted)
+                    answer = await _ready(step)
             except OSError as error:
                 of_system(error)
-                wanted = steps.throw(error)
+                step = steps.throw(error)
             else:
-                wanted = steps.send(answer)
+                step = steps.send(answer)
     except StopIteration as done:
         result: Result = done.value
         return result
@@ -202,16 +202,16 @@ async def run_async(steps: Steps[Result]) -> Result:
         steps.close()
 
 
-async def look_up(wanted: Resolve) -> list[Any]:
+async def look_up(lookup: Resolve) -> list[Any]:
     """Return what getaddrinfo finds, or raise its OSError, or TimeoutError."""
-    if answer := numeric(wanted):
+    if answer := numeric(lookup):
         return answer
     import asyncio
 
     loop = asyncio.get_running_loop()
     ready = loop.create_future()
-    timeout = asyncio.timeout_at(None if wanted.deadline == math.inf else wanted.deadline)
-    question = ask(wanted, lambda: loop.call_soon_threadsafe(resolve, ready))
+    timeout = asyncio.timeout_at(None if lookup.deadline == math.inf else lookup.deadline)
+    question = ask(lookup, lambda: loop.call_soon_threadsafe(resolve, ready))
     try:
         async with timeout:
             await ready
@@ -228,16 +228,16 @@ def resolve(future: asyncio.Future[None]) -> None:
         future.set_result(None)
 
 
-async def _ready(wanted: Ready) -> bool:
+async def _ready(condition: Ready) -> bool:
     import asyncio
 
     loop = asyncio.get_running_loop()
     ready = loop.create_future()
     add, remove = loop.add_writer, loop.remove_writer
-    if wanted.events == READ:
+    if condition.events == READ:
         add, remove = loop.add_reader, loop.remove_reader
-    add(wanted.descriptor, resolve, ready)
-    timeout = asyncio.timeout_at(wanted.deadline)
+    add(condition.descriptor, resolve, ready)
+    timeout = asyncio.timeout_at(condition.deadline)
     try:
         async with timeout:
             await ready
@@ -246,7 +246,7 @@ async def _ready(wanted: Ready) -> bool:
             raise
         return False
     finally:
-        remove(wanted.descriptor)
+        remove(condition.descriptor)
     return True
 
 

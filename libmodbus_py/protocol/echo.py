@@ -85,7 +85,7 @@ class Echo:
         if not self._awaited:
             return data
         data, self._held = self._held + data, b""
-        passed = b""
+        rest = b""
         while data and self._awaited:
             adu, start = self._find(data)
             if start is None:
@@ -98,9 +98,9 @@ class Echo:
             if adu == self._awaited[0]:
                 self._awaited.popleft()
                 self.is_there = self.has_returned = True
-            passed += data[:start] if self.is_there else data[:end]
+            rest += data[:start] if self.is_there else data[:end]
             data = data[end:]
-        return passed if self._held else passed + data
+        return rest if self._held else rest + data
 
     def release(self) -> bytes:
         """Return what is held back, because silence shows that it is no echo."""

@@ -186,8 +186,8 @@ def unknown_option(name: str, names: Sequence[str]) -> TypeError:
 
 def named_arguments(cls: Class) -> Class:
     """Decorate a class so that an argument that it does not take is refused with a close name."""
-    decorated: Any = cls
-    decorated.__init__ = named_parameters(decorated.__init__)
+    class_: Any = cls
+    class_.__init__ = named_parameters(class_.__init__)
     return cls
 
 

@@ -65,8 +65,8 @@ class Piece(NamedTuple):
 
 def has_own_length(request: pdu.Request[Any]) -> bool:
     """Return True if the rule for the response of a request is not that of its function."""
-    known = pdu.REQUESTS.get(request.function)
-    usual = unknown_length if known is None else known.response_length
+    kind = pdu.REQUESTS.get(request.function)
+    usual = unknown_length if kind is None else kind.response_length
     return getattr(type(request), "response_length", usual) is not usual
 
 
@@ -332,18 +332,18 @@ class RtuCutter:
 
     def _goes_on(self, data: bytes, start: int, is_fresh: bool = True) -> bool:
         """Return True if frames without a gap go from here to the silence at the end."""
-        reached, seen = [start], {start}
-        while reached:
-            at = reached.pop()
+        stack, places = [start], {start}
+        while stack:
+            at = stack.pop()
             if at == len(data):
                 return True
             fresh = at if is_fresh or at > start else -1
             for scanner in self._scanners:
                 end = scanner.at(data, at, fresh, SILENT)
                 ends = _fits(data, at, end + 1) if scanner.fits > 1 else (end,)
-                new = {place for place in ends if place > at} - seen
-                seen |= new
-                reached += new
+                new = {place for place in ends if place > at} - places
+                places |= new
+                stack += new
         return False
 
     def _forget(self, count: int, size: int, is_silent: bool) -> None:

@@ -202,9 +202,9 @@ class ValueType:
             data = data[::-1]  # which swaps the bytes of each, too
         if words == swap:
             return data
-        swapped = bytearray(data)
-        swapped[0::2], swapped[1::2] = data[1::2], data[0::2]
-        return bytes(swapped)
+        result = bytearray(data)
+        result[0::2], result[1::2] = data[1::2], data[0::2]
+        return bytes(result)
 
 
 def items_of(name: str | Path, values: object) -> list[Any]:

@@ -317,8 +317,8 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
     """
     cells = cells_of(registers)
     count = integer("the number of registers", len(cells), 1, 125)
-    fitting = [kind for kind in TYPES.values() if kind.registers == count]
-    names = [kind.name for kind in fitting if re.fullmatch(_USUAL, kind.name)]
+    kinds = [kind for kind in TYPES.values() if kind.registers == count]
+    names = [kind.name for kind in kinds if re.fullmatch(_USUAL, kind.name)]
     orders = [*ORDERS, *(WIDE_ORDERS if 2 * count == len(WIDE_ORDERS[0]) else ())]
     interpretations: dict[tuple[str, str], Interpretation] = {}
     for name in [*names, f"string:{2 * count}"]:

@@ -255,10 +255,10 @@ class Acceptance:
 
     __slots__ = ("_before", "_ends", "_loaded", "_tunnel")
 
-    def __init__(self, loaded: Callable[[], Loaded | None]) -> None:
-        self._loaded = loaded
+    def __init__(self, load: Callable[[], Loaded | None]) -> None:
+        self._loaded = load
         # Files that change during the handshake must be compared with those at its beginning.
-        self._before = loaded()
+        self._before = load()
         self._ends = math.inf
         self._tunnel: Tunnel | None = None
 

@@ -74,17 +74,17 @@ class Tunnel:
         session: ssl.SSLSession | None = None,
     ) -> None:
         self._incoming = ssl.MemoryBIO()
-        outgoing = ssl.MemoryBIO()
+        records = ssl.MemoryBIO()
         self._tls = context.wrap_bio(
             self._incoming,
-            outgoing,
+            records,
             server_side=server_name is None,
             server_hostname=server_name,
             session=session,
         )
         # Bound once: each request passes all three.
         self.feed: Callable[[bytes], object] = self._incoming.write
-        self.outgoing: Callable[[], bytes] = outgoing.read
+        self.outgoing: Callable[[], bytes] = records.read
         self.send: Callable[[bytes], object] = self._tls.write
 
     def handshake(self) -> bool:
@@ -119,9 +119,9 @@ class Tunnel:
         try:
             return self._tls.getpeercert(True) or b""
         except ValueError:  # the handshake will never be over
-            presented: bytes = getattr(self._tls, "presented", b"")
+            der: bytes = getattr(self._tls, "presented", b"")
             # OpenSSL 3 keeps what a client refuses.
-            return presented or next(iter(self._certificates("get_unverified_chain")), b"")
+            return der or next(iter(self._certificates("get_unverified_chain")), b"")
 
     @property
     def chain(self) -> list[bytes]:

@@ -95,10 +95,10 @@ class Faults:
     def due(self, request: Frame, *, has_transaction: bool) -> ServerFault | None:
         """Count a request that is going to be answered, and return its fault, or None."""
         due = [
-            counted
-            for counted in (*self._by_unit.get(request.unit, ()), *self._by_unit.get(None, ()))
-            if counted.fault.concerns(request, has_transaction=has_transaction)
-            and counted.counter.is_due()
+            entry
+            for entry in (*self._by_unit.get(request.unit, ()), *self._by_unit.get(None, ()))
+            if entry.fault.concerns(request, has_transaction=has_transaction)
+            and entry.counter.is_due()
         ]
         return due[0].counter.happening() if due else None
 

@@ -187,7 +187,7 @@ class Peer:
     __slots__ = (
         "_descriptor", "_is_behind", "_is_closing", "_is_full", "_is_reading", "_is_sending",
         "_is_throttled", "_session", "_socket", "_turns", "_unsent", "address", "has_asked",
-        "holder", "idle_since", "role", "shared", "trace",
+        "holder", "idle_since", "role", "trace", "usage",
     )  # fmt: skip
 
     def __init__(
@@ -195,7 +195,7 @@ class Peer:
         turns: Turns,
         client: socket.socket,
         address: str,
-        shared: Address[Peer],
+        usage: Address[Peer],
         make: MakePeerSession,
     ) -> None:
         self.address: str = address
@@ -203,7 +203,7 @@ class Peer:
         # A session within TLS has its own.
         self.role: str | None = None
         self.holder: CertificateHolder | None = None
-        self.shared: Address[Peer] = shared  # shared with all other connections of its host
+        self.usage: Address[Peer] = usage  # shared with all other connections of its host
         self.has_asked: bool = False
         self.idle_since: float = turns.loop.time()  # of its last request, or since it came
         self._turns = turns

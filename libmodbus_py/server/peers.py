@@ -85,8 +85,8 @@ class Peers(Turns):
                 self.auditor.note_disallowed(host, name)
             client.close()
             return
-        shared = self._addresses.get(host)
-        of_address, most = shared.connections, self._most_of_address
+        usage = self._addresses.get(host)
+        of_address, most = usage.connections, self._most_of_address
         if len(of_address) >= most and not self._make_room(of_address, "connections_per_address"):
             self.statistics.refused_address += 1
             message = "%s: refused: its address has %d connections (connections_per_address)"
@@ -99,7 +99,7 @@ class Peers(Turns):
             )
             client.close()
         else:
-            self._add(client, name, shared, make)
+            self._add(client, name, usage, make)
 
     def close(self) -> None:
         for peer in list(self._connections):
@@ -109,16 +109,16 @@ class Peers(Turns):
         self.stop()
 
     def _add(
-        self, client: socket.socket, address: str, shared: Address[Peer], make: MakePeerSession
+        self, client: socket.socket, address: str, usage: Address[Peer], make: MakePeerSession
     ) -> None:
         with contextlib.suppress(OSError):  # the descriptor may be gone already
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             client.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self.statistics.accepted += 1
         self.statistics.connections += 1
-        peer = self._make_peer(self, client, address, shared, make)
-        self._connections[peer] = shared.connections[peer] = None
-        self._addresses.keep(shared)
+        peer = self._make_peer(self, client, address, usage, make)
+        self._connections[peer] = usage.connections[peer] = None
+        self._addresses.keep(usage)
         if self._sweeping is None:
             self._sweeping = self.loop.call_later(self._sweep_every, self._sweep)
 
@@ -137,8 +137,8 @@ class Peers(Turns):
         self.statistics.connections -= 1
         self._connections.pop(peer, None)
         self.deadlines.pop(peer, None)
-        peer.shared.forget(peer)
-        self._addresses.keep(peer.shared)
+        peer.usage.forget(peer)
+        self._addresses.keep(peer.usage)
 
     def _sweep(self) -> None:
         self._sweeping = None
@@ -165,12 +165,12 @@ class LimitedPeer(Peer):
 
     def act(self, events: int) -> None:
         takes = not events or events & POLLIN
-        if takes and self.shared.is_overspent() and self._may_ask(events):
+        if takes and self.usage.is_overspent() and self._may_ask(events):
             self._turns.statistics.throttled += 1
             message = "%s: its requests wait: more than %g a second (requests_per_second)"
             self._turns.log.warning(message, self.address, self._turns.limits.requests_per_second)
             self._is_throttled = True
-            self.shared.pause(self)
+            self.usage.pause(self)
             self.follow()
             events &= ~POLLIN
             if not events:
@@ -187,7 +187,7 @@ class LimitedPeer(Peer):
 
     def _take(self, data: bytes | None = None) -> int:
         requests = super()._take(data)
-        self.shared.spend(requests)
+        self.usage.spend(requests)
         return requests
 
 

@@ -234,10 +234,10 @@ class Serving(ABC):
             checked_callback("on_hangup", on_hangup)
 
         async def serve() -> None:
-            stopped = asyncio.Event()
+            stop = asyncio.Event()
             handlers: dict[signal.Signals, Handler] = {
-                signal.SIGINT: stopped.set,
-                signal.SIGTERM: stopped.set,
+                signal.SIGINT: stop.set,
+                signal.SIGTERM: stop.set,
             }
             if on_hangup is not None:
                 handlers[signal.SIGHUP] = on_hangup
@@ -245,7 +245,7 @@ class Serving(ABC):
                 async with self.serving(*urls) as running:
                     with frozen_garbage():
                         on_listening(running)
-                        await stopped.wait()
+                        await stop.wait()
 
         asyncio.run(serve())
 
@@ -288,9 +288,9 @@ class Traces:
     def __bool__(self) -> bool:
         return bool(self._all)
 
-    def __call__(self, traced: Traced) -> None:
+    def __call__(self, frame: Traced) -> None:
         for callback in self._all:
-            callback(traced)
+            callback(frame)
 
     @contextlib.contextmanager
     def with_another(self, callback: OnTraced) -> Iterator[None]:
@@ -332,16 +332,16 @@ def _harmless(callback: OnTraced) -> OnTraced:
     call = timed("trace", callback)
     has_failed = False
 
-    def harmless(traced: Traced) -> None:
+    def harmless(frame: Traced) -> None:
         nonlocal has_failed
         try:
-            call(traced)
+            call(frame)
         except ENDS as error:
             asyncio.get_running_loop().call_soon(_raise, error)
         except BaseException:
             if not has_failed:
                 has_failed = True
-                logger.exception("trace(%s) failed; this is logged once", traced)
+                logger.exception("trace(%s) failed; this is logged once", frame)
 
     return harmless
 

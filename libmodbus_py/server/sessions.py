@@ -296,18 +296,18 @@ class Singles:
 
     def take_back(self, session: ByChunk) -> list[bytes]:
         """Return what a session has just added, because it received more, in records of TLS."""
-        waiting, requests = self._waiting, []
-        while waiting and waiting[-1][0] is session:
-            requests.append(waiting.pop()[1])
+        queue, requests = self._waiting, []
+        while queue and queue[-1][0] is session:
+            requests.append(queue.pop()[1])
         return requests[::-1]
 
     def _answer(self) -> None:
         """Answer runs of requests to one unit in C, and those that C leaves one by one."""
-        waiting, self._waiting = self._waiting, []
-        raised: BaseException | None = None
-        chunk = b"".join(map(_request, waiting))
+        queue, self._waiting = self._waiting, []
+        failure: BaseException | None = None
+        chunk = b"".join(map(_request, queue))
         start = first = 0
-        while first < len(waiting):
+        while first < len(queue):
             unit, count = chunk[start + UNIT], 0
             device = self._units.in_c[unit]
             if device is not None and chunk[start + FUNCTION] in device.in_c:
@@ -315,23 +315,23 @@ class Singles:
                 self._statistics.requests += count
                 self._statistics.refused += refusals
                 if count == 1:
-                    waiting[first][0].channel.write(answers)
+                    queue[first][0].channel.write(answers)
                 elif count:
-                    asking = waiting[first : first + count]
-                    for (session, _), answer in zip(asking, split(answers), strict=True):
+                    part = queue[first : first + count]
+                    for (session, _), answer in zip(part, split(answers), strict=True):
                         session.channel.write(answer)
             if count == 0:
-                session, request = waiting[first]
+                session, request = queue[first]
                 number = int.from_bytes(request[:2], "big")
                 try:
                     session.take_one(Frame(unit, request[FUNCTION:], number))
                 except BaseException as error:  # of a hook; the others are still answered
-                    raised = raised or error
+                    failure = failure or error
                 start += len(request)
                 count = 1
             first += count
-        if raised is not None:
-            raise raised
+        if failure is not None:
+            raise failure
 
 
 def _tell(trace: Trace, requests: bytes, answers: bytes) -> None:

@@ -129,11 +129,11 @@ class Handshakes:
         self._next_step = None
         host = next(iter(self._line), None)
         if host is not None:
-            waiting = self._line.pop(host)
-            session = next(iter(waiting))
-            del waiting[session]
-            if waiting:
-                self._line[host] = waiting  # behind the other addresses
+            queue = self._line.pop(host)
+            session = next(iter(queue))
+            del queue[session]
+            if queue:
+                self._line[host] = queue  # behind the other addresses
             if self._line:
                 self._next_step = self.loop.call_soon(self._step)
             session.take_step()

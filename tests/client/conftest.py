@@ -18,5 +18,5 @@ def transport(request: pytest.FixtureRequest) -> Any:
 @pytest.fixture(params=KINDS)
 def world(request: pytest.FixtureRequest) -> Iterator[World]:
     """Simulated clients of both kinds, and peers."""
-    with making(request.param) as made:
-        yield made
+    with making(request.param) as world:
+        yield world

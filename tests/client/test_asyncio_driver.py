@@ -30,31 +30,31 @@ def answer_tcp(request: bytes, write: Write) -> None:
 def test_a_line_that_must_be_turned_round_is_sent_to_after_its_delay(rs485: str) -> None:
     async def use(plc: AsyncClient, peer: Scripted) -> None:
         for address in (3, 4):
-            begun = peer.network.events.now
+            start = peer.network.events.now
             assert await plc.read_holding_registers(address, 1) == [address]
-            assert peer.times[-1] - begun >= 0.25
+            assert peer.times[-1] - start >= 0.25
         assert len(peer.requests) == 2
 
     run_client(answer_rtu, use, f"rtu:///dev/line?unit=1&rs485={rs485}&rts_delay=0.25")
 
 
-def test_a_send_that_fails_is_told_at_once_and_the_next_goes_over_another_connection(monkeypatch):
+def test_a_failed_send_is_raised_at_once_and_the_next_uses_another_connection(monkeypatch):
     kind = memory_port("tcp")
     send = kind.send
-    failing = [True]
+    errors = [True]
 
     def fail(port: Any, adus: list[bytes], now: float) -> None:
-        if failing:
-            failing.clear()
+        if errors:
+            errors.clear()
             raise ModbusConnectionError("Broken pipe", errno=32)
         send(port, adus, now)
 
     async def use(plc: AsyncClient, peer: Scripted) -> None:
         monkeypatch.setattr(kind, "send", fail)
-        begun = peer.network.events.now
+        start = peer.network.events.now
         with pytest.raises(ModbusConnectionError, match="Broken pipe"):
             await plc.read_holding_registers(1, 1)
-        assert peer.network.events.now == begun
+        assert peer.network.events.now == start
         assert plc.statistics.lost == 1
         assert await plc.read_holding_registers(2, 1) == [2]
         assert peer.connections == 2
@@ -62,32 +62,32 @@ def test_a_send_that_fails_is_told_at_once_and_the_next_goes_over_another_connec
     run_client(answer_tcp, use, retries=0)
 
 
-def test_what_the_system_does_not_take_at_once_is_sent_later() -> None:
+def test_bytes_the_system_does_not_take_are_sent_later() -> None:
     """A host that reads slowly: the rest follows as soon as there is room."""
 
     async def use(plc: AsyncClient, peer: Scripted) -> None:
         plc._driver._port._socket.capacity = 7  # type: ignore[attr-defined]
-        asked = [plc.read_holding_registers(address, 1) for address in range(20)]
-        assert await asyncio.gather(*asked) == [[address] for address in range(20)]
+        reads = [plc.read_holding_registers(address, 1) for address in range(20)]
+        assert await asyncio.gather(*reads) == [[address] for address in range(20)]
         assert len(peer.requests) == 20
 
     run_client(answer_tcp, use, max_in_flight=16)
 
 
-def test_who_asks_at_the_same_time_goes_out_together() -> None:
+def test_requests_of_one_moment_are_sent_together() -> None:
     """One turn of the loop, and as few calls of the system as can be."""
-    sent: list[bytes] = []
+    pieces: list[bytes] = []
 
     def tap(place: str, number: int, is_client: bool, data: bytes) -> None:
         if is_client:
-            sent.append(data)
+            pieces.append(data)
 
     async def use(plc: AsyncClient, peer: Scripted) -> None:
         await plc.read_holding_registers(0, 1)
         peer.network.tap = tap
         await asyncio.gather(*(plc.read_holding_registers(each, 1) for each in range(8)))
-        assert len(b"".join(sent)) == 8 * 12
-        assert len(sent) <= 3
+        assert len(b"".join(pieces)) == 8 * 12
+        assert len(pieces) <= 3
 
     run_client(answer_tcp, use, max_in_flight=16)
 

@@ -30,8 +30,8 @@ def good_tcp(request: bytes) -> list[bytes]:
     return [mbap(request, GOOD)]
 
 
-def tcp(pdu: bytes, **changed: int) -> Answer:
-    return lambda request: [mbap(request, pdu, **changed)]
+def tcp(pdu: bytes, **fields: int) -> Answer:
+    return lambda request: [mbap(request, pdu, **fields)]
 
 
 def values(context: Any) -> Any:
@@ -103,8 +103,8 @@ def test_tcp_error_and_next_request_succeeds(world: World, name: str) -> None:
 @pytest.mark.parametrize("scheme", ["tcp", "tls", "udp", "unix"])
 def test_an_exception_whose_length_counts_a_byte_too_much_is_taken(world: World, scheme) -> None:
     """wlcrs/tmodbus#146: exceptions of 9 bytes whose header says 4 in place of 3."""
-    refused = tcp(b"\x83\x02", length=4)
-    peer = world.peer(scheme, answering(refused, refused, good_tcp))
+    refusal = tcp(b"\x83\x02", length=4)
+    peer = world.peer(scheme, answering(refusal, refusal, good_tcp))
     with world.connect(peer.url) as context:
         for _ in range(2):
             with world.lasting(0, 0.01), pytest.raises(IllegalDataAddress):
@@ -113,7 +113,7 @@ def test_an_exception_whose_length_counts_a_byte_too_much_is_taken(world: World,
     assert peer.connections <= 1
 
 
-def test_the_byte_that_follows_such_an_exception_is_dropped(world: World) -> None:
+def test_the_byte_behind_an_exception_is_dropped(world: World) -> None:
     def refuse(request: bytes, write: Write) -> None:
         write(mbap(request, b"\x83\x02", length=4))
         write(b"\0", after=0.1)

@@ -15,26 +15,26 @@ from tests.support.replies import BOTH, answer, exchange, refusal
 from tests.support.talk import ASCII, LINE, TCP, Talk, ascii_frame, kinds, tcp
 
 
-def test_a_trace_is_told_of_everything() -> None:
+def test_a_trace_gets_every_frame_and_noise() -> None:
     for url, garbage in ((TCP, "0001 0007 0003 01 83 02"), (LINE, "55 AA 55 AA"), (ASCII, "3A")):
-        told: list[Traced] = []
-        talk = Talk(url, trace=told.append, timeout=1)
+        frames: list[Traced] = []
+        talk = Talk(url, trace=frames.append, timeout=1)
         talk.ask(5)
         noise = bytes.fromhex(garbage)
         right = ascii_frame("01 03 02 0005") if url == ASCII else answer(talk)
         talk.come(noise)
         talk.come(right)
         talk.wait(0.03)
-        assert [(each.direction, each.adu) for each in (told[0], told[-1])] == [
+        assert [(each.direction, each.adu) for each in (frames[0], frames[-1])] == [
             ("sent", talk.sent[0]),
             ("received", right),
         ]
-        assert {(each.unit, each.function) for each in (told[0], told[-1])} == {(1, 3)}
+        assert {(each.unit, each.function) for each in (frames[0], frames[-1])} == {(1, 3)}
         if url != ASCII:
-            assert told[1].adu == noise
-            assert (told[1].unit, told[1].function) == (None, None)
-        assert all(each.endpoint.startswith(url) for each in told)
-        assert "unit 1, function 3: " in str(told[0])
+            assert frames[1].adu == noise
+            assert (frames[1].unit, frames[1].function) == (None, None)
+        assert all(each.endpoint.startswith(url) for each in frames)
+        assert "unit 1, function 3: " in str(frames[0])
 
 
 def test_the_logger_of_the_wire_has_the_same(caplog: pytest.LogCaptureFixture) -> None:
@@ -138,13 +138,13 @@ INTERRUPTED = ModbusConnectionError("interrupted", errno=errno.EINTR)
 
 
 @BOTH
-def test_nothing_is_left_of_what_was_interrupted(url: str) -> None:
+def test_interrupted_requests_leave_nothing(url: str) -> None:
     talk = Talk(url, timeout=1, busy_retries=1, turnaround=0.5)
     busy = talk.ask(1)
     talk.come(refusal(talk, 6))
     everyone = talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
-    asked, waiting = talk.ask(2), talk.ask(3)
-    sent = len(talk.sent)
+    batch, queued = talk.ask(2), talk.ask(3)
+    count = len(talk.sent)
     talk.connection.interrupted(INTERRUPTED, talk.now)
     assert talk.is_at_rest
     assert talk.life.state is State.DISCONNECTED
@@ -152,8 +152,8 @@ def test_nothing_is_left_of_what_was_interrupted(url: str) -> None:
     assert talk.statistics.results[6, "cancelled"] == 0
     talk.open()
     talk.wait(5)
-    assert len(talk.sent) == sent
-    assert not any(each.is_done for each in (busy, everyone, asked, waiting))
+    assert len(talk.sent) == count
+    assert not any(each.is_done for each in (busy, everyone, batch, queued))
     exchange(talk, 7)
 
 
@@ -182,8 +182,8 @@ def test_a_connection_that_was_lost_begins_with_nothing_in_flight() -> None:
 
 
 def test_a_batch_that_fails_keeps_the_outcomes_it_has() -> None:
-    made = Batch(1, [pdu.ReadCoils(0, 1), pdu.ReadCoils(1, 1)], Timeouts(1, 0, 0))
-    made.calls[1].settle("first")
-    made.settle(failure := ModbusConnectionError("interrupted", errno=errno.EINTR))
-    assert made.is_done
-    assert made.outcomes == [failure, "first"]
+    batch = Batch(1, [pdu.ReadCoils(0, 1), pdu.ReadCoils(1, 1)], Timeouts(1, 0, 0))
+    batch.calls[1].settle("first")
+    batch.settle(failure := ModbusConnectionError("interrupted", errno=errno.EINTR))
+    assert batch.is_done
+    assert batch.outcomes == [failure, "first"]

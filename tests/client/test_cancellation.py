@@ -20,7 +20,7 @@ from tests.support.talk import LINE, TCP, Talk
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 
 
-def test_an_answer() -> None:
+def test_cancelled_requests_take_no_answer_of_later_ones() -> None:
     async def use(plc: AsyncClient, peer: Scripted) -> None:
         for _ in range(3):
             with pytest.raises(TimeoutError):
@@ -36,17 +36,17 @@ def test_an_answer() -> None:
     run_client(good_at("tcp", after=0.2), use, max_in_flight=2)
 
 
-def test_the_connection() -> None:
+def test_cancelled_callers_do_not_end_the_connecting_of_others() -> None:
     async def main(peer: Scripted) -> None:
         plc = AsyncClient(peer.url)
-        waiting = [asyncio.create_task(plc.execute(REQUEST)) for _ in range(3)]
+        tasks = [asyncio.create_task(plc.execute(REQUEST)) for _ in range(3)]
         joining = asyncio.create_task(plc.connect())
         await asyncio.sleep(0)
         assert plc.state is State.CONNECTING
-        waiting[0].cancel()
-        waiting[2].cancel()
+        tasks[0].cancel()
+        tasks[2].cancel()
         joining.cancel()
-        assert await waiting[1] == [5]
+        assert await tasks[1] == [5]
         await asyncio.sleep(60)
         assert len(peer.requests) == 1
         await plc.close()
@@ -71,15 +71,15 @@ def test_an_answer_that_is_read_in_the_turn_of_the_cancellation() -> None:
 
 
 @pytest.mark.parametrize("options", [{"request_spacing": 0.2}, {"connect_delay": 0.2}])
-def test_a_pause(options: dict[str, Any]) -> None:
+def test_a_request_cancelled_during_a_pause_is_not_sent(options: dict[str, Any]) -> None:
     async def main(peer: Scripted) -> None:
         before = peer.network.events.now
         async with AsyncClient(peer.url, **options) as plc:
             if "request_spacing" in options:
                 await plc.read_holding_registers(0, 1)
-            waiting = asyncio.create_task(plc.read_holding_registers(1, 1))
+            task = asyncio.create_task(plc.read_holding_registers(1, 1))
             await asyncio.sleep(0.02)
-            waiting.cancel()
+            task.cancel()
             assert await plc.read_holding_registers(2, 1) == [2]
             assert peer.network.events.now == pytest.approx(before + 0.2, abs=0.002)
             assert 1 not in [request[9] for request in peer.requests]
@@ -119,14 +119,14 @@ def test_many_that_wait_cost_few_steps_each(url, order, monkeypatch) -> None:
     assert talk.is_at_rest
 
 
-def test_a_batch_among_others() -> None:
+def test_a_cancelled_batch_leaves_other_requests_their_answers() -> None:
     """Whatever the request waits for: the connection, its slot, its answer."""
 
     async def main(peer: Scripted) -> None:
-        for kept in (True, False):
+        for is_kept in (True, False):
             for steps in range(12):
                 async with AsyncClient(peer.url, max_in_flight=2, timeout=2) as client:
-                    if not kept:
+                    if not is_kept:
                         peer.drop_all()
                     others = [
                         asyncio.create_task(client.read_holding_registers(address, 1))
@@ -141,9 +141,9 @@ def test_a_batch_among_others() -> None:
                     for _ in range(steps):
                         await asyncio.sleep(0)
                     batch.cancel()
-                    got = await asyncio.gather(*others, last, return_exceptions=True)
-                    if kept:
-                        assert got == [[0], [1], [2], [9]]
+                    outcomes = await asyncio.gather(*others, last, return_exceptions=True)
+                    if is_kept:
+                        assert outcomes == [[0], [1], [2], [9]]
                     with contextlib.suppress(asyncio.CancelledError, ModbusConnectionError):
                         assert len(await batch) == 256
                     assert await client.read_holding_registers(5, 1) == [5]
@@ -152,7 +152,7 @@ def test_a_batch_among_others() -> None:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_many_tasks_by_chance(seed: int) -> None:
+def test_tasks_cancelled_at_random_leave_others_their_answers(seed: int) -> None:
     chance = random.Random(seed)
 
     def slowly(request: bytes, write: Write) -> None:
@@ -163,8 +163,8 @@ def test_many_tasks_by_chance(seed: int) -> None:
             address = chance.randrange(1000)
             with contextlib.suppress(TimeoutError, ModbusError):
                 async with asyncio.timeout(chance.choice([0, 0.0005, 0.005, 0.03, 1])):
-                    got = await client.read_holding_registers(address, 1)
-                    assert got == [address]
+                    values = await client.read_holding_registers(address, 1)
+                    assert values == [address]
 
     async def use(client: AsyncClient, peer: Scripted) -> None:
         await asyncio.gather(*(one(client) for _ in range(10)))
@@ -174,21 +174,21 @@ def test_many_tasks_by_chance(seed: int) -> None:
     run_client(slowly, use, timeout=0.04)
 
 
-def test_connecting_and_whoever_is_cancelled() -> None:
+def test_a_client_connects_again_after_a_cancelled_attempt() -> None:
     """The caller, or all tasks of the package: the client can connect again."""
 
     async def main(peer: Scripted) -> None:
         for steps in range(8):
             for everybody in (False, True):
                 client = AsyncClient(peer.url, timeout=1)
-                asked = asyncio.create_task(client.read_holding_registers(5, 1))
+                connecting = asyncio.create_task(client.read_holding_registers(5, 1))
                 for _ in range(steps):
                     await asyncio.sleep(0)
                 for task in asyncio.all_tasks() if everybody else ():
                     if "libmodbus_py" in task.get_coro().cr_code.co_filename:  # type: ignore[union-attr]
                         task.cancel()
-                asked.cancel()
-                await asyncio.wait([asked])
+                connecting.cancel()
+                await asyncio.wait([connecting])
                 assert await client.read_holding_registers(6, 1) == [6]
                 await client.close()
 
@@ -224,11 +224,11 @@ def test_closing_while_it_connects() -> None:
     async def main(peer: Scripted) -> None:
         for turns in range(6):
             plc = AsyncClient(peer.url)
-            waiting = asyncio.create_task(plc.execute(REQUEST))
+            task = asyncio.create_task(plc.execute(REQUEST))
             for _ in range(turns):
                 await asyncio.sleep(0)
             await plc.close()
             with contextlib.suppress(ModbusConnectionError):
-                await waiting
+                await task
 
     run_peer(good, main)

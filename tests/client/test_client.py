@@ -28,7 +28,7 @@ from tests.support.scripted import run
 from tests.support.transports import serving
 
 
-def test_wrong_arguments_are_told_where_the_call_is_awaited() -> None:
+def test_wrong_arguments_are_raised_where_the_call_is_awaited() -> None:
     async def main() -> None:
         plc = AsyncClient("tcp://127.0.0.1:1")
         for asking in (plc.read_coils(-1, 1), plc.read_values("coils", 0, "int16")):  # type: ignore[arg-type]
@@ -41,9 +41,9 @@ def test_wrong_arguments_are_told_where_the_call_is_awaited() -> None:
 def test_many_tasks_each_get_their_own_answer(transport: str, mapping: Mapping) -> None:
     async def main(url: str) -> None:
         async with AsyncClient(url, unit=17) as plc:
-            asked = [100 + number % 10 for number in range(60)]
-            answers = await asyncio.gather(*(plc.read_holding_registers(a, 1) for a in asked))
-            assert answers == [[900 + address] for address in asked]
+            addresses = [100 + number % 10 for number in range(60)]
+            answers = await asyncio.gather(*(plc.read_holding_registers(a, 1) for a in addresses))
+            assert answers == [[900 + address] for address in addresses]
 
     with serving(transport, Server(Device(mapping))) as url:
         run(main(url))
@@ -129,9 +129,9 @@ def agreements(functions: range) -> list[Ask]:
         requests = [pdu.ReadHoldingRegisters(300 + at % 100, 1) for at in range(200)]
         assert context.execute_many(requests) == [[1300 + at % 100] for at in range(200)]
 
-    asked = [partial(agree, each) for each in exchanges() if each.function in functions]
-    refused = [partial(refuse, each) for each in refusals() if each.function in functions]
-    return [*asked, *refused, many]
+    agreed = [partial(agree, each) for each in exchanges() if each.function in functions]
+    refusals_ = [partial(refuse, each) for each in refusals() if each.function in functions]
+    return [*agreed, *refusals_, many]
 
 
 @pytest.mark.parametrize("transport", ["tcp", "rtu"])
@@ -142,13 +142,13 @@ def test_against_libmodbus_in_c(compiled: Callable[[str], Any], transport: str) 
 
 
 @pytest.mark.parametrize("transport", FRAMERS)
-def test_against_pymodbus(transport: str) -> None:
+def test_both_clients_agree_on_answers_of_pymodbus(transport: str) -> None:
     for what in agreements(range(1, 17))[:-1]:
         with pymodbus_serving(transport) as url:
             ask(url, what)
 
 
-def test_against_our_server(transport: str) -> None:
+def test_both_clients_agree_on_answers_of_our_server(transport: str) -> None:
     for what in agreements(range(1, 44)):
         with serving(transport, Server(make_device())) as url:
             ask(url, what)

@@ -46,7 +46,7 @@ def test_waiting_for_the_connection_counts(url: str) -> None:
     assert kinds(batch)[0] is ModbusTimeoutError
 
 
-def test_who_has_waited_for_a_connection_for_too_long_is_told_so() -> None:
+def test_a_request_waits_for_a_connection_for_its_timeout_alone() -> None:
     talk = Talk(timeout=1, is_open=False)
     short, batch, joining = talk.ask(1, timeout=0.5), talk.ask(2, 3, go_on=True), talk.join()
     talk.life.connecting()
@@ -173,7 +173,7 @@ def test_every_request_has_an_error_of_its_own() -> None:
     assert LOST.sent == b""
 
 
-def test_nobody_has_a_connection_made_for_a_batch_that_is_decided() -> None:
+def test_a_batch_that_is_decided_opens_no_connection() -> None:
     talk = Talk()
     batch = talk.ask(1, 2)
     talk.lose()
@@ -208,17 +208,17 @@ def test_an_answer_between_makes_connections_fruitful() -> None:
     assert len(talk.sent) == 10 + 9  # each but the first was cut off, and sent once more
 
 
-def test_all_who_wait_share_one_attempt_and_its_failure() -> None:
+def test_waiting_requests_share_one_attempt_and_its_failure() -> None:
     talk = Talk(is_open=False)
     batches = [talk.ask(number) for number in range(3)]
-    joining, left = talk.join(), talk.join()
-    talk.connection.withdraw(left, talk.now)
+    joining, leaving = talk.join(), talk.join()
+    talk.connection.withdraw(leaving, talk.now)
     talk.fail()
     assert [kinds(batch) for batch in batches] == [[ModbusConnectionError]] * 3
     assert {batch.outcomes[0].errno for batch in batches} == {111}
     assert isinstance(joining.outcome, ModbusConnectionError)
     assert (joining.outcome.unit, joining.outcome.errno) == (1, 111)
-    assert left.outcome is NOT_ASKED
+    assert leaving.outcome is NOT_ASKED
     assert talk.is_at_rest
     assert len({id(batch.outcomes[0]) for batch in batches}) == 3
 

@@ -162,11 +162,11 @@ def test_a_port_that_is_unplugged_on_the_real_system(kind: str, tmp_path: Path) 
     with connecting_to(kind, f"rtu://{path}?baudrate=115200", timeout=60, max_pause=0) as plc:
         with SerialWire() as wire, ThreadPoolExecutor(1) as pool:
             path.symlink_to(wire.client)
-            waiting = pool.submit(plc.execute, REQUEST)
+            future = pool.submit(plc.execute, REQUEST)
             until(lambda: wire.passed)
             wire.unplug()
             with pytest.raises(ModbusConnectionError) as caught:
-                waiting.result()
+                future.result()
             assert caught.value.errno == errno.EIO
         path.unlink()
         with pytest.raises(ModbusConnectionError):
@@ -199,8 +199,8 @@ def test_close_is_idempotent_and_final(world: World) -> None:
     for ask in (plc.connect, lambda: plc.execute(REQUEST)):
         with pytest.raises(ModbusConnectionError, match="closed"):
             ask()
-    found = plc.execute_many([REQUEST] * 3, return_exceptions=True)
-    assert [type(each) for each in found] == [ModbusConnectionError] * 3
+    outcomes = plc.execute_many([REQUEST] * 3, return_exceptions=True)
+    assert [type(each) for each in outcomes] == [ModbusConnectionError] * 3
 
 
 @pytest.fixture(params=["an answer", "a connection", "a pause"])
@@ -224,10 +224,10 @@ def somebody_waits(request: pytest.FixtureRequest, connect: Connect) -> Iterator
 def test_close_ends_what_others_wait_for(somebody_waits: Any) -> None:
     plc = somebody_waits
     with ThreadPoolExecutor(2) as pool:
-        waiting = [pool.submit(plc.execute, REQUEST), pool.submit(plc.execute_many, [REQUEST] * 50)]
+        futures = [pool.submit(plc.execute, REQUEST), pool.submit(plc.execute_many, [REQUEST] * 50)]
         until(lambda: plc._driver._connection.is_wanted or plc.statistics.requests)
         plc.close()
-        for each in waiting:
+        for each in futures:
             with pytest.raises(ModbusConnectionError):
                 each.result()
 
@@ -261,7 +261,7 @@ async def outcome(client: AsyncClient, timeout: float) -> tuple[float, object]:
     return round(asyncio.get_running_loop().time(), 2), result
 
 
-def test_who_has_more_time_than_the_attempt_gets_another() -> None:
+def test_a_request_with_more_time_gets_another_attempt() -> None:
     network = Network()
     network.unreachable.add(HOST)
     Scripted(network, URL, good)

@@ -17,13 +17,13 @@ LINE = "rtu:///dev/nowhere?silence=0"
 
 def failures(client: Any, count: int) -> int:
     """Read registers, and return how many reads failed: none may give another value."""
-    failed = 0
+    count_ = 0
     for address in range(1, count):
         try:
             assert read(client, address) == address
         except InvalidResponse:
-            failed += 1
-    return failed
+            count_ += 1
+    return count_
 
 
 @pytest.mark.parametrize("scheme", ["rtu+tcp", "rtu+udp", "ascii+tcp", "rtu", "ascii"])
@@ -39,9 +39,9 @@ def test_no_value_is_that_of_another_request(world: World, scheme: str) -> None:
             write(adu, after=after + chance.uniform(0, 0.02))
 
     with world.client_of(scheme, some_twice, timeout=1) as context:
-        failed = failures(context, 1500)
+        count = failures(context, 1500)
     assert doubled > 5
-    assert failed <= doubled
+    assert count <= doubled
 
 
 @pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp", "rtu"])
@@ -109,15 +109,15 @@ def test_answers_of_a_unit_that_became_faster_are_held_once() -> None:
 
 def test_answers_that_vary_in_time_are_believed_at_once() -> None:
     """As on a network, where the time of one says little of the next."""
-    talk, chance, held = Talk(LINE, timeout=1), random.Random(1), 0
+    talk, chance, count = Talk(LINE, timeout=1), random.Random(1), 0
     for each in range(1, 2000):
         batch = talk.ask(each)
         talk.wait(0.002 + chance.expovariate(200))
         talk.come(value(each))
-        held += not batch.is_done
+        count += not batch.is_done
         talk.wait(0.1)
         assert batch.outcomes == [[each]]
-    assert held < 5
+    assert count < 5
 
 
 def test_polls_of_values_that_flip_take_no_longer_than_others() -> None:
@@ -158,7 +158,7 @@ def test_values_are_right_again_after_a_pause(pause: float) -> None:
         assert batch.outcomes == [[address]]
 
 
-def test_what_changes_for_ever_takes_no_more_memory() -> None:
+def test_values_that_always_change_take_no_memory() -> None:
     """Values, requests and lengths."""
     pair = Pair(0.0)
     pair.is_repeating = True

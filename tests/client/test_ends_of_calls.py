@@ -78,13 +78,13 @@ def struck(
     call: Callable[[], object], number: int, error: BaseException
 ) -> tuple[bool, BaseException | None]:
     """Return whether a call had so many moments, and what it raised."""
-    raised = None
+    failure = None
     with Strike(number, error) as strike:
         try:
             call()
         except BaseException as caught:
-            raised = caught
-    return strike.left <= 0, raised
+            failure = caught
+    return strike.left <= 0, failure
 
 
 def strike_each_moment(
@@ -106,14 +106,14 @@ def strike_each_moment(
         was_struck = False
         for ask in (context.write_register, context.read_holding_registers):
             address += 2
-            is_struck, raised = struck(partial(ask, address, 1), number, error)
-            assert raised is (error if is_struck else None), (number, ask, raised)
+            is_struck, failure = struck(partial(ask, address, 1), number, error)
+            assert failure is (error if is_struck else None), (number, ask, failure)
             was_struck |= is_struck
             settle()
             assert context.read_holding_registers(address + 1, 1) == [address + 1], (number, ask)
-            asked = [address_in(request, scheme) for request in peer.requests]
-            assert asked[-1] == address + 1, (number, ask)
-            assert asked.count(address) <= 1
+            addresses = [address_in(request, scheme) for request in peer.requests]
+            assert addresses[-1] == address + 1, (number, ask)
+            assert addresses.count(address) <= 1
     return number
 
 
@@ -183,15 +183,15 @@ def test_no_caller_waits_for_a_client_whose_hook_ends_the_program(scheme: str, h
             return super().decode_response(data)
 
     async def submit(plc: AsyncClient, address: int) -> object:
-        done = loop.create_future()
+        future = loop.create_future()
 
         def on_done() -> None:
-            done.set_result(None)
+            future.set_result(None)
             if hook == "on_done":
                 leave()
 
         submitted = Sender(plc).submit(1, pdu.ReadHoldingRegisters(address, 1), on_done)
-        await done
+        await future
         return submitted.outcome
 
     number, is_left = 0, True
@@ -205,9 +205,9 @@ def test_no_caller_waits_for_a_client_whose_hook_ends_the_program(scheme: str, h
             ended(loop, tasks)
             is_left = leave.left <= 0
             leave.left = -1
-            for task, expected in zip(tasks, (None, [30], [40]), strict=True):
+            for task, result in zip(tasks, (None, [30], [40]), strict=True):
                 if task.exception() is None and not isinstance(task.result(), Exception):
-                    assert task.result() == expected
+                    assert task.result() == result
             loop.run_until_complete(asyncio.sleep(SETTLED))
             assert loop.run_until_complete(plc.read_holding_registers(51, 1)) == [51]
             assert not plc._driver._callers
@@ -229,8 +229,8 @@ def test_nothing_is_sent_of_many_requests_that_a_context_was_thrown_out_of() -> 
             while is_struck:
                 number += 1
                 call = partial(context.execute_many, writes(10 * number))
-                is_struck, raised = struck(call, number, error)
-                assert raised is (error if is_struck else None), (number, raised)
+                is_struck, failure = struck(call, number, error)
+                assert failure is (error if is_struck else None), (number, failure)
                 world.sleep(SETTLED)
                 before = len(peer.requests)
                 assert context.read_holding_registers(10 * number + 9, 1) == [10 * number + 9]

@@ -47,12 +47,12 @@ MISTAKES: dict[str, tuple[str, Callable[[bytes], bytes], str]] = {
 
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_recognised_in_one_line(mistake: str, world: World) -> None:
-    scheme, came, said = MISTAKES[mistake]
-    peer = world.peer(scheme, answering(lambda request: [came(request)]))
+    scheme, answer_to, message = MISTAKES[mistake]
+    peer = world.peer(scheme, answering(lambda request: [answer_to(request)]))
     with world.connect(peer.url, timeout=0.15) as client:
         caught = failure(client)
     text = str(caught)
-    assert re.search(said, text), text
+    assert re.search(message, text), text
     assert "\n" not in text
     assert longest_hex(text) <= 32
     assert len(text) < 300
@@ -81,18 +81,18 @@ ALERT = bytes.fromhex("15 0303 0002 0246")  # RFC 8446, 5.1 and 6: protocol_vers
 
 @ALL
 @pytest.mark.parametrize(
-    ("answer", "error", "said"),
+    ("answer", "error", "message"),
     [
         (lambda _: [ALERT], ModbusError, "like tls://"),
         (None, ModbusConnectionError, r"nothing was answered yet; .* tls://"),
     ],
     ids=["an alert", "an end"],
 )
-def test_a_server_that_wants_tls_is_recognised(kind: str, answer, error, said) -> None:
+def test_a_server_that_wants_tls_is_recognised(kind: str, answer, error, message) -> None:
     with (
         FakeServer(answer) as server,
         asking(kind, server.url, timeout=5) as plc,
-        pytest.raises(error, match=said),
+        pytest.raises(error, match=message),
     ):
         plc.read_coils(0, 1)
 
@@ -128,12 +128,12 @@ RECEIVED = {
     ],
 )
 def test_another_framing_is_recognised(scheme: str, received: str, hint: str) -> None:
-    sent = SENT.get(scheme.removesuffix("+tcp"), SENT["tcp"])
-    assert explain(scheme, sent, RECEIVED[received]) == hint
+    request = SENT.get(scheme.removesuffix("+tcp"), SENT["tcp"])
+    assert explain(scheme, request, RECEIVED[received]) == hint
 
 
 @each_case(
-    ("answered", "asks", "by_itself", "is_told"),
+    ("is_answered", "asks", "by_itself", "is_told"),
     [
         (False, True, True, True),
         (True, True, True, False),
@@ -142,10 +142,10 @@ def test_another_framing_is_recognised(scheme: str, received: str, hint: str) ->
     ],
 )
 def test_tls_is_named_where_a_request_was_answered_by_the_end_of_a_new_connection(
-    answered: bool, asks: bool, by_itself: bool, is_told: bool
+    is_answered: bool, asks: bool, by_itself: bool, is_told: bool
 ) -> None:
     talk = Talk()
-    if answered:
+    if is_answered:
         talk.ask(1)
         talk.come(tcp(talk.sent[0]))
     if asks:

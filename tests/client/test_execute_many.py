@@ -53,8 +53,8 @@ class Gathered:
 
     def _look(self, write: Write) -> None:
         if self._held and self._events.now - self._last >= self._quiet - 1e-9:
-            held, self._held = self._held, []
-            self._play(held, write)
+            requests, self._held = self._held, []
+            self._play(requests, write)
 
 
 def address_of(request: bytes) -> int:
@@ -65,35 +65,35 @@ def refusal(request: bytes, code: int) -> bytes:
     return mbap(request, bytes([0x83, code]))
 
 
-def failed(found: list[Any], kind: type[ModbusError] = ModbusError) -> list[int]:
+def failed(outcomes: list[Any], kind: type[ModbusError] = ModbusError) -> list[int]:
     """Return where failures stand."""
-    return [at for at, each in enumerate(found) if isinstance(each, kind)]
+    return [at for at, each in enumerate(outcomes) if isinstance(each, kind)]
 
 
 @pytest.mark.parametrize("most", [1, 16])
 def test_results_have_the_order_of_requests_on_every_transport(
     connect: Connect, url: str, mapping: Mapping, most: int
 ) -> None:
-    asked = [
+    requests = [
         pdu.WriteRegisters(150, (7, 8, 9)),
         pdu.ReadCoils(10, 3),
         *(pdu.ReadHoldingRegisters(100 + at, 1) for at in range(10)),
         pdu.ReadFileRecords([(4, 1, 2)]),  # type: ignore[arg-type]
         pdu.ReadInputRegisters(200, 2),
     ]
-    expected = [None, [True, False, True], *echoes(10, 1000), [[1, 2]], [2000, 2001]]
+    results = [None, [True, False, True], *echoes(10, 1000), [[1, 2]], [2000, 2001]]
     most = most if has_header(url.partition(":")[0]) else 1
     with connect(url, unit=UNIT, max_in_flight=most) as context:
         for _ in range(2):
-            assert context.execute_many(asked) == expected
+            assert context.execute_many(requests) == results
             assert context.read_holding_registers(150, 3) == [7, 8, 9]
     assert mapping.holding_registers[150:153] == [7, 8, 9]
 
 
 def test_refusals_stand_in_their_places_on_every_transport(connect: Connect, url: str) -> None:
-    asked = [pdu.ReadCoils(10, 1), pdu.ReadHoldingRegisters(0, 1), pdu.ReadCoils(11, 1)]
+    requests = [pdu.ReadCoils(10, 1), pdu.ReadHoldingRegisters(0, 1), pdu.ReadCoils(11, 1)]
     with connect(url, unit=UNIT) as context:
-        first, refused, last = context.execute_many(asked, return_exceptions=True)
+        first, refused, last = context.execute_many(requests, return_exceptions=True)
         assert (first, last) == ([True], [False])
         assert isinstance(refused, IllegalDataAddress)
         assert (refused.unit, refused.function) == (UNIT, 3)
@@ -101,18 +101,18 @@ def test_refusals_stand_in_their_places_on_every_transport(connect: Connect, url
         assert refused.sent
         assert refused.received
         with pytest.raises(IllegalDataAddress, match="address=0, count=1"):
-            context.execute_many(asked)
+            context.execute_many(requests)
 
 
 def test_libmodbus_server_in_c(connect: Connect, tmp_path: Path) -> None:
     server = compile_c(SOURCES / "server.c", tmp_path / "server")
-    asked = [pdu.ReadHoldingRegisters(100 + at % 100, 125) for at in range(800)]
+    requests = [pdu.ReadHoldingRegisters(100 + at % 100, 125) for at in range(800)]
     with program(server, "tcp", 0) as process:
         assert process.stdout is not None
         port = int(process.stdout.readline().split()[1])
         with connect(f"tcp://127.0.0.1:{port}", unit=UNIT, timeout=10) as context:
-            found = context.execute_many(asked)
-    assert found == [list(range(1100 + at % 100, 1225 + at % 100)) for at in range(800)]
+            results = context.execute_many(requests)
+    assert results == [list(range(1100 + at % 100, 1225 + at % 100)) for at in range(800)]
 
 
 def test_nothing_to_ask_needs_no_connection(connect: Connect) -> None:
@@ -122,17 +122,17 @@ def test_nothing_to_ask_needs_no_connection(connect: Connect) -> None:
 
 
 @pytest.mark.parametrize(
-    ("requests", "options", "kind", "named"),
+    ("requests", "options", "kind", "message"),
     [
         (None, {}, TypeError, "requests must be a list"),
         ([*reads(3), "read"], {}, TypeError, r"requests\[3\] must be a request object"),
         ([pdu.ReadCoils], {}, TypeError, r"requests\[0\] must be a request object of pdu"),
     ],
 )
-def test_nothing_is_sent_for_bad_arguments(world: World, requests, options, kind, named) -> None:
+def test_nothing_is_sent_for_bad_arguments(world: World, requests, options, kind, message) -> None:
     peer = world.peer("tcp", good)
     with world.connect(peer.url, max_in_flight=16) as context:
-        with pytest.raises(kind, match=named):
+        with pytest.raises(kind, match=message):
             context.execute_many(requests, **options)
         assert context.read_holding_registers(5, 1) == [5]
     assert len(peer.requests) == 1
@@ -156,31 +156,31 @@ def test_request_without_an_answer_times_out_alone(world: World) -> None:
     with world.connect(peer.url, timeout=timeout, unit=9, max_in_flight=16) as context:
         # The second is sent as soon as there is room for it, while the first waits.
         with world.lasting(timeout, more=0.01):
-            found = context.execute_many(reads(40), return_exceptions=True)
-        silent = [found[3], found[20]]
+            outcomes = context.execute_many(reads(40), return_exceptions=True)
+        silent = [outcomes[3], outcomes[20]]
         for error, address in zip(silent, (3, 20), strict=True):
             assert isinstance(error, ModbusTimeoutError)
             assert (error.unit, error.function, error.received) == (9, 3, b"")
             assert error.asked == f"ReadHoldingRegisters(address={address}, count=1)"
             assert error.sent[6:] == bytes([9, 3, 0, address, 0, 1])
-        found[3], found[20] = [3], [20]
-        assert found == echoes(40)
+        outcomes[3], outcomes[20] = [3], [20]
+        assert outcomes == echoes(40)
         assert peer.connections == 1
 
 
 @pytest.mark.parametrize("again", ["one", "many"])
 def test_requests_left_behind_by_a_failure_poison_nothing(world: World, again: str) -> None:
     """The first is refused; the other fifteen are answered when something else is asked."""
-    left: list[bytes] = []
+    late: list[bytes] = []
 
     def refused(requests: list[bytes], write: Write) -> None:
-        left.extend(requests)
-        write(refusal(left[0], 2))
+        late.extend(requests)
+        write(refusal(late[0], 2))
         peer.on_request = Gathered(world, mixed)
 
     def mixed(fresh: list[bytes], write: Write) -> None:
-        write(echo(left[-1]))
-        for request in (*fresh, *reversed(left[1:-1])):
+        write(echo(late[-1]))
+        for request in (*fresh, *reversed(late[1:-1])):
             write(echo(request))
         peer.on_request = good
 
@@ -191,7 +191,7 @@ def test_requests_left_behind_by_a_failure_poison_nothing(world: World, again: s
         peer.on_request = Gathered(world, refused)
         with pytest.raises(IllegalDataAddress):
             context.execute_many(reads(400))
-        assert len(left) == 16  # and nothing was sent after the refusal
+        assert len(late) == 16  # and nothing was sent after the refusal
         if again == "one":
             assert context.read_holding_registers(900, 1) == [900]
         else:
@@ -238,15 +238,15 @@ def test_wrong_answers_spoil_their_own_requests_only(world: World, scheme: str) 
 
     peer = world.peer(scheme, play)
     with world.connect(peer.url, max_in_flight=16) as context:
-        found = context.execute_many(reads(12), return_exceptions=True)
+        outcomes = context.execute_many(reads(12), return_exceptions=True)
         for at in (3, 5, 7):
-            assert isinstance(found[at], InvalidResponse)
-            assert found[at].asked == f"ReadHoldingRegisters(address={at}, count=1)"
-            assert found[at].received
-        assert "unit 99 answered" in str(found[5])
-        assert found[9].code == 77
-        assert failed(found) == [3, 5, 7, 9]
-        assert [each for each in found if isinstance(each, list)] == [
+            assert isinstance(outcomes[at], InvalidResponse)
+            assert outcomes[at].asked == f"ReadHoldingRegisters(address={at}, count=1)"
+            assert outcomes[at].received
+        assert "unit 99 answered" in str(outcomes[5])
+        assert outcomes[9].code == 77
+        assert failed(outcomes) == [3, 5, 7, 9]
+        assert [each for each in outcomes if isinstance(each, list)] == [
             [at] for at in range(12) if at not in (3, 5, 7, 9)
         ]
         assert (context.statistics.late_answers, peer.connections) == (12, 1)
@@ -254,15 +254,15 @@ def test_wrong_answers_spoil_their_own_requests_only(world: World, scheme: str) 
 
 def closing_after(connections: Callable[[], int], *counts: int) -> OnRequest:
     """Answer so many requests on each connection, and close it when no more come."""
-    asked: Counter[int] = Counter()
+    requests: Counter[int] = Counter()
 
     def play(request: bytes, write: Write) -> None:
         number = connections()
         count = counts[min(number, len(counts)) - 1]
-        asked[number] += 1
-        if asked[number] <= count:
+        requests[number] += 1
+        if requests[number] <= count:
             write(echo(request))
-        if asked[number] == max(count, 1):
+        if requests[number] == max(count, 1):
             write(None, after=0.05)
 
     return play
@@ -289,13 +289,13 @@ def test_reads_of_which_nothing_was_answered_are_sent_once_more(world: World) ->
 def test_lost_connection_fails_what_was_in_flight_and_the_rest_goes_on(world: World) -> None:
     peer = world.peer("tcp", closing_after(lambda: peer.connections, 10, 0, 99))
     with world.connect(peer.url, max_in_flight=4) as context:
-        found = context.execute_many(reads(40), return_exceptions=True)
-        lost = failed(found, ModbusConnectionError)
-        assert lost == [10, 11, 12, 13]
-        assert len({id(found[at]) for at in lost}) == len(lost)
-        for at in lost:
-            assert found[at].asked == f"ReadHoldingRegisters(address={at}, count=1)"
-            assert (found[at].errno, found[at].unit) == (errno.ECONNRESET, 1)
+        outcomes = context.execute_many(reads(40), return_exceptions=True)
+        indexes = failed(outcomes, ModbusConnectionError)
+        assert indexes == [10, 11, 12, 13]
+        assert len({id(outcomes[at]) for at in indexes}) == len(indexes)
+        for at in indexes:
+            assert outcomes[at].asked == f"ReadHoldingRegisters(address={at}, count=1)"
+            assert (outcomes[at].errno, outcomes[at].unit) == (errno.ECONNRESET, 1)
         assert peer.connections == 3
 
 

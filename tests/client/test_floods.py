@@ -38,7 +38,7 @@ def failure(act: Callable[[], object]) -> ModbusError:
 
 def flooding(network: Network, data: bytes, pause: float) -> OnRequest:
     """Send the same for ever, from the first request on, on each connection."""
-    begun: set[int] = set()
+    connections: set[int] = set()
 
     def send(write: Write) -> None:
         write(data)
@@ -46,8 +46,8 @@ def flooding(network: Network, data: bytes, pause: float) -> OnRequest:
 
     def on_request(request: bytes, write: Write) -> None:
         connection = id(getattr(write, "__self__", write))
-        if connection not in begun:
-            begun.add(connection)
+        if connection not in connections:
+            connections.add(connection)
             send(write)
 
     return on_request
@@ -70,10 +70,10 @@ def test_a_flood_costs_neither_time_nor_memory(flood: str, world: World) -> None
         tracemalloc.start()
         try:
             failure(lambda: read(client, 1))
-            kept, most = tracemalloc.get_traced_memory()
+            size, most = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
-    assert kept < 64 * 1024
+    assert size < 64 * 1024
     assert most < 1024 * 1024  # what is looked at in one turn, and what the network itself keeps
 
 

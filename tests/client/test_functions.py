@@ -46,17 +46,17 @@ def url(transport: str, mapping: Mapping) -> Iterator[str]:
         exception_status=0x6D,
         canopen=lambda data: data[::-1],
     )
-    with serving(transport, Server({UNIT: device})) as made:
-        yield made
+    with serving(transport, Server({UNIT: device})) as url:
+        yield url
 
 
 @pytest.fixture
 def plc(connect: Connect, url: str) -> Iterator[Any]:
-    with connect(url, unit=UNIT) as made:
-        yield made
+    with connect(url, unit=UNIT) as client:
+        yield client
 
 
-def test_tables(plc: Any, mapping: Mapping) -> None:
+def test_reads_and_writes_reach_all_four_tables(plc: Any, mapping: Mapping) -> None:
     for turn in range(3):
         coils = [True, False, True, True, False, False, True, True, True, False]
         assert plc.read_coils(10, 10) == coils
@@ -81,7 +81,7 @@ def test_tables(plc: Any, mapping: Mapping) -> None:
     assert plc.statistics.responses == plc.statistics.requests
 
 
-def test_the_other_functions(plc: Any) -> None:
+def test_functions_without_a_table_return_their_values(plc: Any) -> None:
     for _ in range(2):
         assert plc.read_exception_status() == 0x6D
         assert plc.report_server_id() == ServerId(b"\x2a", False, b"abc")
@@ -132,7 +132,7 @@ VALUES = [
 ]
 
 
-def test_values(plc: Any, mapping: Mapping) -> None:
+def test_typed_values_are_written_and_read_in_any_order(plc: Any, mapping: Mapping) -> None:
     for type_, order, value, cells in VALUES:
         plc.write_value("holding_registers", 120, value, type_, order=order)
         assert mapping.holding_registers[120 : 120 + len(cells)] == cells
@@ -141,8 +141,8 @@ def test_values(plc: Any, mapping: Mapping) -> None:
             assert plc.read_value(table, address, type_, order=order) == value
     for type_, values in (("float32", [3.5, -2.25, 1e10]), ("string:6", ["pump 1", "x"])):
         plc.write_values("holding_registers", 130, values, type_, order="CDAB")
-        found = plc.read_values("holding_registers", 130, type_, len(values), order="CDAB")
-        assert found == values
+        result = plc.read_values("holding_registers", 130, type_, len(values), order="CDAB")
+        assert result == values
 
 
 def test_refusals_name_what_was_asked(plc: Any) -> None:
@@ -192,8 +192,8 @@ def test_a_broadcast_reaches_every_unit_and_is_not_answered(transport: str) -> N
 
 @contextmanager
 def talking_to(device: Device, transport: str, **options: Any) -> Iterator[Client]:
-    with serving(transport, Server(device)) as url, Client(url, **options) as made:
-        yield made
+    with serving(transport, Server(device)) as url, Client(url, **options) as client:
+        yield client
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,36 +258,36 @@ REFUSALS = [
 
 
 def test_what_a_hook_raises_comes_out_at_the_client(transport: str) -> None:
-    raised: list[type[ExceptionResponse]] = []
+    refusals: list[type[ExceptionResponse]] = []
 
     def refuse(access: Access) -> None:
-        raise raised[-1]
+        raise refusals[-1]
 
     device = Device(Mapping(holding_registers=8), before_write=refuse)
     with talking_to(device, transport) as context:
         for refusal in REFUSALS * 2:
-            raised.append(refusal)
+            refusals.append(refusal)
             with pytest.raises(refusal) as caught:
                 context.write_registers(0, [1, 2])
             assert type(caught.value) is refusal
             assert context.read_holding_registers(0, 2) == [0, 0]
 
 
-def test_hooks_are_told_who_asks_for_what(transport: str) -> None:
-    seen: list[Access] = []
-    device = Device(Mapping(holding_registers=8), after_write=seen.append, before_read=seen.append)
+def test_hooks_get_unit_and_peer_of_requests(transport: str) -> None:
+    log: list[Access] = []
+    device = Device(Mapping(holding_registers=8), after_write=log.append, before_read=log.append)
     with talking_to(device, transport, unit=5) as context:
         context.write_register(3, 77)
         context.read_holding_registers(2, 4)
-    written, read = seen
-    assert (written.table, written.address, written.values) == ("holding_registers", 3, (77,))
+    write, read = log
+    assert (write.table, write.address, write.values) == ("holding_registers", 3, (77,))
     assert (read.address, read.count, read.values) == (2, 4, ())
-    assert {access.unit for access in seen} == {5}
-    assert all(access.peer.startswith(("127.0.0.1:", "/dev/pts/")) for access in seen)
+    assert {access.unit for access in log} == {5}
+    assert all(access.peer.startswith(("127.0.0.1:", "/dev/pts/")) for access in log)
 
 
 @each_case(
-    ("asked", "answer"),
+    ("level", "answer"),
     [
         ("basic", "2b0e 01 01 ff 00 01 00 01 41"),  # the same page again
         (5, "2b0e 04 83 00 00 01 03 01 78"),  # another object
@@ -296,10 +296,10 @@ def test_hooks_are_told_who_asks_for_what(transport: str) -> None:
         ("basic", "2b0e 02 83 00 00 01 00 01 61"),  # another level
     ],
 )
-def test_pages_that_do_not_answer_are_invalid(asked: str | int, answer: str) -> None:
+def test_pages_that_do_not_answer_are_invalid(level: str | int, answer: str) -> None:
     page = bytes.fromhex(answer)
     with making("blocking") as world:
         peer = world.peer("tcp", answering(lambda request: [mbap(request, page)]))
         with world.connect(peer.url) as plc, pytest.raises(InvalidResponse):
-            plc.read_device_identification(asked)
+            plc.read_device_identification(level)
         assert len(peer.requests) == 1

@@ -81,7 +81,7 @@ def test_a_length_that_cannot_be_fails_all_and_breaks_the_connection(length: int
     assert waiting.outcomes == [[3]]
 
 
-def test_what_nobody_asked_for_breaks_the_connection_after_64_kib() -> None:
+def test_unrequested_answers_of_64_kib_break_the_connection() -> None:
     talk = Talk()
     frame = bytes.fromhex("7777 0000 00FE 01 03 FA") + bytes(251)
     for _ in range(0x10000 // 260):
@@ -111,12 +111,12 @@ def test_a_request_that_nobody_answers_takes_the_turnaround_before_the_next_one(
     assert talk.is_at_rest
 
 
-def test_what_comes_before_the_first_request_is_traced_too() -> None:
-    seen: list[Traced] = []
-    talk = Talk(trace=seen.append)
+def test_frames_before_the_first_request_are_traced() -> None:
+    frames: list[Traced] = []
+    talk = Talk(trace=frames.append)
     frame = bytes.fromhex("0009 0000 0005 01 03 02 0007")
     talk.come(frame)
-    assert [(each.direction, each.adu) for each in seen] == [("received", frame)]
+    assert [(each.direction, each.adu) for each in frames] == [("received", frame)]
 
 
 def ids(talk: Talk) -> list[int]:

@@ -40,7 +40,7 @@ def connecting_here(kind: str) -> Iterator[Connect]:
 @pytest.mark.parametrize(
     ("kind", "error"), [("blocking", Interruption), ("asyncio", ModbusConnectionError)]
 )
-def test_anything_raised_while_it_connects_leaves_a_client_that_can(kind, error, monkeypatch):
+def test_an_error_while_connecting_leaves_a_client_that_can(kind, error, monkeypatch):
     def interrupt(*_: object) -> None:
         raise Interruption
 
@@ -88,12 +88,12 @@ def test_the_timeout_includes_the_look_up_of_the_name(kind: str, answers: thread
 def test_close_does_not_wait_for_the_look_up_of_a_name() -> None:
     with ThreadPoolExecutor(1) as pool:
         context = Client("tcp://slow.invalid", timeout=600)
-        waiting = pool.submit(context.connect)
+        future = pool.submit(context.connect)
         until(lambda: context.state is State.CONNECTING)
         time.sleep(0.02)
         context.close()
         with pytest.raises(ModbusConnectionError):
-            waiting.result()
+            future.result()
 
 
 @contextlib.contextmanager
@@ -129,12 +129,12 @@ def test_close_in_a_signal_handler_ends_the_request_that_it_interrupts(place: st
 
 @PLACES
 def test_a_request_in_a_signal_handler_is_refused(place: str) -> None:
-    refused: list[bool] = []
+    refusals: list[bool] = []
 
     def ask() -> None:
         with pytest.raises(RuntimeError):
             context.read_coils(0, 1)
-        refused.append(True)
+        refusals.append(True)
 
     with waiting_context(place) as (context, request):
         context.timeout = 0.15
@@ -142,7 +142,7 @@ def test_a_request_in_a_signal_handler_is_refused(place: str) -> None:
         with on_alarm(ask, 0.05), pytest.raises(ModbusError):
             request()
         assert time.monotonic() - start >= 0.149
-        assert refused
+        assert refusals
 
 
 class Finalized:

@@ -72,11 +72,11 @@ def test_a_client_for_each_poll_has_no_value_of_another_request(url: str) -> Non
     for _ in range(400):
         former = talk = Talk(url, after=former, is_new=True, timeout=0.1)
         for address in range(1, 6):
-            sent = len(talk.sent) + 1
+            end = len(talk.sent) + 1
             batch = talk.ask(address)
             while not batch.is_done:
-                if len(talk.sent) == sent:
-                    sent, count = sent + 1, count + 1
+                if len(talk.sent) == end:
+                    end, count = end + 1, count + 1
                     after = 0.1 + chance.uniform(0.001, 0.05) if count % 40 == 17 else 0.008
                     late.append((talk.times[-1] + after, value(7 * address)))
                     late.sort()
@@ -159,7 +159,7 @@ def test_a_line_is_known_by_its_device_or_converter(tmp_path: Path) -> None:
         assert history_of(parse(one)) is not history_of(parse(other))
 
 
-def test_so_many_lines_are_remembered_and_not_more() -> None:
+def test_the_oldest_history_is_dropped_beyond_the_limit() -> None:
     first = history_of(parse("rtu+tcp://host:1"))
     for port in range(1, REMEMBERED + 1):
         history_of(parse(f"rtu+tcp://host:{port}"))
@@ -169,7 +169,7 @@ def test_so_many_lines_are_remembered_and_not_more() -> None:
 
 
 def test_threads_that_open_a_line_at_once_share_what_is_known() -> None:
-    endpoint, found = parse("rtu+tcp://host"), []
+    endpoint, histories = parse("rtu+tcp://host"), []
     gate = threading.Barrier(8)
 
     def open_it() -> None:
@@ -178,19 +178,19 @@ def test_threads_that_open_a_line_at_once_share_what_is_known() -> None:
         for function in range(1, 100):
             history.pair(1, function, 0.0)
             history.pairs_of(1)
-        found.append(history)
+        histories.append(history)
 
     threads = [threading.Thread(target=open_it) for _ in range(8)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert len(found) == 8
-    assert {id(history) for history in found} == {id(found[0])}
-    assert len(found[0].pairs_of(1)) == 99
+    assert len(histories) == 8
+    assert {id(history) for history in histories} == {id(histories[0])}
+    assert len(histories[0].pairs_of(1)) == 99
 
 
-def test_what_is_known_keeps_no_request_alive() -> None:
+def test_the_history_keeps_no_request_alive() -> None:
     talk = Talk(LINE, timeout=1)
     talk.ask(pdu.ReadHoldingRegisters(1, 1))
     talk.wait(1)

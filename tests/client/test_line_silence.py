@@ -198,11 +198,11 @@ def test_a_broadcast_waits_for_the_calls_before_it_and_for_no_doubt() -> None:
     assert units(talk) == [1, 0, 1, 0, 5]
 
 
-@pytest.mark.parametrize("left", ["01 03 FA 00", "01", "01 83", "01 03 02 00 07 00"])
-def test_half_a_frame_that_was_left_is_not_put_before_the_next_answer(left: str) -> None:
+@pytest.mark.parametrize("half", ["01 03 FA 00", "01", "01 83", "01 03 02 00 07 00"])
+def test_half_a_frame_that_was_left_is_not_put_before_the_next_answer(half: str) -> None:
     talk = Talk(LINE, timeout=1)
     talk.ask(1)
-    talk.come(bytes.fromhex(left))
+    talk.come(bytes.fromhex(half))
     talk.wait(1.0)
     batch = talk.ask(2)
     talk.wait(1.5)
@@ -216,18 +216,18 @@ def test_half_a_frame_that_was_left_is_not_put_before_the_next_answer(left: str)
 def test_the_first_600_bytes_of_a_flood_are_kept() -> None:
     """Of what comes in place of an answer."""
     pieces = [bytes([0x80 + number]) * 250 for number in range(8)]
-    kept = b"".join(pieces)[:600]
+    start = b"".join(pieces)[:600]
     talk = Talk(LINE, timeout=1)
     first = talk.ask(1)
     talk.come(*pieces)
     talk.wait(1)
-    assert first.outcomes[0].received == kept
+    assert first.outcomes[0].received == start
     second = talk.ask(2)
     talk.come(*pieces)
     talk.wait_for(2)
     talk.come(*pieces)
     talk.wait(1)
-    assert second.outcomes[0].received == kept
+    assert second.outcomes[0].received == start
 
 
 def test_a_late_answer_in_pieces_is_one_and_each_piece_puts_off_the_next_request() -> None:
@@ -269,14 +269,14 @@ def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> 
     [value(1), b"\xfe\x01", value(1)[:4], value(1) + b"\x01\x03", b"\x01" + value(1)],
     ids=["an answer", "noise", "half an answer", "an answer and more", "noise and an answer"],
 )
-def test_what_comes_unasked_is_traced_too(late: bytes) -> None:
-    told: list[Traced] = []
-    talk = Talk(LINE, timeout=1, trace=told.append)
+def test_unrequested_frames_are_traced(late: bytes) -> None:
+    events: list[Traced] = []
+    talk = Talk(LINE, timeout=1, trace=events.append)
     unanswered(talk, 0)
     talk.come(late)
     talk.wait(1)
     talk.ask(1)  # what is no frame is traced before the next request
-    received = [each for each in told if each.direction == "received"]
-    assert b"".join(each.adu for each in received) == late
-    frames = [(each.unit, each.function) for each in received if each.unit is not None]
+    receipts = [each for each in events if each.direction == "received"]
+    assert b"".join(each.adu for each in receipts) == late
+    frames = [(each.unit, each.function) for each in receipts if each.unit is not None]
     assert frames == ([(1, 3)] if value(1) in late else [])

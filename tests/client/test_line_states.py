@@ -167,12 +167,12 @@ def test_asked_and_the_first_of_its_length_is_held_if_it_came_sooner_than_all_ot
         assert batch.is_done is not is_held
 
 
-@pytest.mark.parametrize("come", [value(5)[:-1] + b"\0", rtu("01 03 04 0005 0006"), b""])
-def test_asked_and_a_failure_leads_to_doubt(come: bytes) -> None:
+@pytest.mark.parametrize("data", [value(5)[:-1] + b"\0", rtu("01 03 04 0005 0006"), b""])
+def test_asked_and_a_failure_leads_to_doubt(data: bytes) -> None:
     """A damaged answer, one that does not fit, none."""
     talk = used()
     batch = talk.ask(5)
-    talk.come(come)
+    talk.come(data)
     while not batch.is_done:
         talk.wait(0.001)
     assert isinstance(batch.outcomes[0], ModbusError)
@@ -370,15 +370,15 @@ def test_hold_and_a_late_frame_of_its_unit_begin_again() -> None:
 
 def test_an_answer_is_held_once_in_ten_timeouts() -> None:
     """Without a pause on the line: it could be shifted by one request, and nothing else tells."""
-    talk, held = used(), 0
+    talk, count = used(), 0
     for number in range(100, 2300):
         batch = talk.ask(number)
         talk.wait(0.01)
         talk.come(value(number))
-        held += not batch.is_done
+        count += not batch.is_done
         talk.wait(0 if batch.is_done else 0.02)
         assert batch.outcomes == [[number]]
-    assert held == 2
+    assert count == 2
 
 
 @each_case(("frame", "is_first"), [
@@ -475,10 +475,10 @@ def test_a_clock_that_stands_still_makes_no_wait_endless(url: str) -> None:
     assert batch.outcomes == [[3]]
 
 
-@each_case(("come", "late"), [(b"", 0), (value(1), 1), (value(1) + value(1), 2)])
-def test_answers_beside_the_first_are_counted(come: bytes, late: int) -> None:
+@each_case(("data", "late"), [(b"", 0), (value(1), 1), (value(1) + value(1), 2)])
+def test_answers_beside_the_first_are_counted(data: bytes, late: int) -> None:
     talk = Talk(LINE, timeout=1)
     batch = talk.ask(1)
-    talk.come(value(1) + come)
+    talk.come(value(1) + data)
     assert batch.outcomes == [[1]]
     assert talk.statistics.late_answers == late

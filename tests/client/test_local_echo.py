@@ -57,15 +57,15 @@ def with_setting(url: str, setting: str) -> str:
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("stray", STRAYS[:2])
-def test_an_echo_is_told_once_and_harms_no_read(world: World, scheme, stray, caplog) -> None:
+def test_an_echo_is_logged_once_and_harms_no_read(world: World, scheme, stray, caplog) -> None:
     with world.client_of(scheme, returning(scheme, stray=stray), timeout=1) as client:
         assert [read(client, address) for address in range(30)] == list(range(30))
         assert client.statistics.echoes == 1
         assert client.statistics.late_answers == 0
-    told = [each.getMessage() for each in caplog.records if each.levelno == logging.WARNING]
-    assert len(told) == 1
-    assert "local echo" in told[0]
-    assert "echo=1" in told[0]
+    messages = [each.getMessage() for each in caplog.records if each.levelno == logging.WARNING]
+    assert len(messages) == 1
+    assert "local echo" in messages[0]
+    assert "echo=1" in messages[0]
 
 
 @pytest.mark.parametrize("setting", ["", "echo=1"])
@@ -274,11 +274,11 @@ def test_an_echo_in_pieces(is_set: bool) -> None:
 @each_case("is_set", [False, True])
 def test_an_answer_behind_the_echo_of_a_request_that_is_a_possible_answer(is_set: bool) -> None:
     talk = known(is_set)
-    expected = [True] + [False] * 23
+    bits = [True] + [False] * 23
     for _ in range(2):
         batch = talk.ask(COILS)
         talk.come(talk.sent[-1], rtu("01 01 03 010000"))
-        assert batch.outcomes == [expected]
+        assert batch.outcomes == [bits]
 
 
 def test_an_echo_behind_much_noise_does_not_confirm_a_write() -> None:
@@ -294,7 +294,7 @@ def test_an_echo_behind_much_noise_does_not_confirm_a_write() -> None:
 
 
 @pytest.mark.parametrize("scheme", ["rtu", "ascii", "rtu+tcp"])
-def test_with_a_setting_nothing_is_found_out(world: World, scheme: str) -> None:
+def test_with_the_option_nothing_is_learned(world: World, scheme: str) -> None:
     def writes_too(request: bytes, write: Write) -> None:
         is_write = (request[3:5] == b"06") if scheme == "ascii" else request[1] == 6
         write(request)

@@ -55,56 +55,56 @@ def served(request: pytest.FixtureRequest) -> Iterator[tuple[Device, str]]:
     options = (
         {"handlers": {pdu.MaskWriteRegister: refuse(IllegalFunction)}} if request.param else {}
     )
-    made = device(**options)
-    with Server(made).background("tcp://127.0.0.1:0") as serving:
-        yield made, serving.urls[0]
+    device_ = device(**options)
+    with Server(device_).background("tcp://127.0.0.1:0") as serving:
+        yield device_, serving.urls[0]
 
 
 def test_values_are_read_and_written_with_the_scale_of_the_device(served: tuple[Device, str]):
-    made, url = served
+    device_, url = served
     with Client(url) as plc:
         assert plc.read_map(POINTS, ["v", "none"]) == {"v": 230.5, "none": None}
-        found = plc.read_map(POINTS, ["none"], return_exceptions=True)["none"]
-        assert isinstance(found, NoValue)
+        value = plc.read_map(POINTS, ["none"], return_exceptions=True)["none"]
+        assert isinstance(value, NoValue)
         plc.write_map(POINTS, {"v": 12.5})
-        assert made.mapping.holding_registers[0] == 125
-        made.mapping.holding_registers[1] = 300
+        assert device_.mapping.holding_registers[0] == 125
+        device_.mapping.holding_registers[1] = 300
         with pytest.raises(NoValue, match="v_sf, which scales it, must hold a power"):
             plc.write_map(POINTS, {"v": 1})
 
 
 def test_a_part_of_a_register_is_written(served: tuple[Device, str]) -> None:
-    made, url = served
+    device_, url = served
     with Client(url) as plc:
         plc.write_map(POINTS, {"b0": True, "b8": False})
-    assert made.mapping.holding_registers[2] == 0xFE01
+    assert device_.mapping.holding_registers[2] == 0xFE01
 
 
 def test_parts_that_are_written_at_the_same_time_are_all_written(served: tuple[Device, str]):
-    made, url = served
+    device_, url = served
 
     async def go() -> None:
         async with AsyncClient(url) as plc:
             await asyncio.gather(*(plc.write_map(POINTS, {f"b{at}": True}) for at in range(8)))
 
     asyncio.run(go())
-    assert made.mapping.holding_registers[2] == 0xFFFF
+    assert device_.mapping.holding_registers[2] == 0xFFFF
 
 
 def test_a_mask_that_is_refused_otherwise_is_raised() -> None:
-    made = device(handlers={pdu.MaskWriteRegister: refuse(ServerDeviceBusy)})
-    with Server(made).background("tcp://127.0.0.1:0") as serving:
+    device_ = device(handlers={pdu.MaskWriteRegister: refuse(ServerDeviceBusy)})
+    with Server(device_).background("tcp://127.0.0.1:0") as serving:
         plc = Client(serving.urls[0])
         with plc, pytest.raises(ServerDeviceBusy):
             plc.write_map(POINTS, {"b0": True})
-    assert made.mapping.holding_registers[2] == 0xFF00
+    assert device_.mapping.holding_registers[2] == 0xFF00
 
 
 TWO = RegisterMap([point("one", 2, bit=0), point("other", 3, bit=1)])
 
 
 def test_parts_of_several_registers_are_written_by_one_call(served: tuple[Device, str]) -> None:
-    made, url = served
+    device_, url = served
 
     async def go() -> None:
         async with AsyncClient(url) as plc:
@@ -112,14 +112,14 @@ def test_parts_of_several_registers_are_written_by_one_call(served: tuple[Device
             await asyncio.wait_for(asyncio.gather(*calls), 5)
 
     asyncio.run(go())
-    assert made.mapping.holding_registers[2:4] == [0xFF01, 2]
+    assert device_.mapping.holding_registers[2:4] == [0xFF01, 2]
 
 
 @pytest.mark.parametrize("served", [True], indirect=True)
 @pytest.mark.parametrize("at", range(10))
-def test_who_leaves_while_parts_are_written_holds_up_nobody(served, at) -> None:
+def test_a_cancelled_write_of_parts_delays_no_other(served, at) -> None:
     """At any trace of its frames: another task, or thread, may change registers then."""
-    made, url = served
+    device_, url = served
     calls = iter(range(1000))
 
     async def go() -> None:
@@ -145,4 +145,4 @@ def test_who_leaves_while_parts_are_written_holds_up_nobody(served, at) -> None:
         thread.start()
         thread.join(5)
         assert not thread.is_alive()
-    assert made.mapping.holding_registers[3] == 2
+    assert device_.mapping.holding_registers[3] == 2

@@ -123,7 +123,7 @@ def test_a_read_is_sent_once_more_within_its_time(world: World) -> None:
 
 
 @pytest.mark.parametrize("case", ["a write", "no answer before", "half an answer"])
-def test_others_are_not_sent_once_more(world: World, case: str) -> None:
+def test_requests_that_may_have_been_executed_are_not_repeated(world: World, case: str) -> None:
     peer = world.peer("tcp", good)
 
     def close(request: bytes, write: Write) -> None:
@@ -155,17 +155,17 @@ def test_an_idle_connection_is_closed_and_made_again(world: World) -> None:
 
 def test_watch_closes_an_idle_connection_between_its_polls(world: World) -> None:
     peer = world.peer("tcp", good)
-    closed: list[float] = []
+    times: list[float] = []
 
     def note(state: State, error: Any) -> None:
         if state is State.DISCONNECTED:
-            closed.append(round(world.now - started, 2))
+            times.append(round(world.now - started, 2))
 
     with world.connect(peer.url, idle_close=2, on_state=note) as plc:
         started = world.now
         polls = plc.watch([("holding_registers", 7)], every=10)
         assert [next(polls) for _ in range(3)] == [[[7]]] * 3
-    assert closed == [2.0, 12.0]
+    assert times == [2.0, 12.0]
     assert peer.connections == 3
 
 

@@ -55,7 +55,7 @@ VALUES = [
 
 
 @pytest.mark.parametrize(
-    ("ask", "named"),
+    ("ask", "message"),
     [
         (lambda plc: plc.read_coils(-1, 1), "address must be in 0..65535"),
         (lambda plc: plc.read_coils(0, 2001), "count must be in 1..2000"),
@@ -74,17 +74,17 @@ VALUES = [
         *VALUES,
     ],
 )
-def test_nothing_is_sent_for_bad_arguments(world: World, ask: Any, named: str) -> None:
+def test_nothing_is_sent_for_bad_arguments(world: World, ask: Any, message: str) -> None:
     peer = world.peer("tcp", good)
     with world.connect(peer.url) as plc:
-        with pytest.raises((ValueError, TypeError), match=named):
+        with pytest.raises((ValueError, TypeError), match=message):
             ask(plc)
         assert plc.read_holding_registers(5, 1) == [5]
         assert len(peer.requests) == 1
 
 
 def test_a_bad_argument_of_a_client_is_named(world: World, refused: Refused) -> None:
-    refused("wrong_options.txt", lambda given: world.connect(given[0], **given[1]))
+    refused("wrong_options.txt", lambda case: world.connect(case[0], **case[1]))
     for word, hint in (
         ("slave", "did you mean unit"),
         ("unti", "did you mean unit"),
@@ -123,7 +123,7 @@ LINE, HOST = "/dev/ttyUSB0", "192.0.2.1"
 
 
 @each_case(
-    ("place", "option", "meant", "makers"),
+    ("place", "option", "name", "makers"),
     [
         (f"rtu://{LINE}", "stopbits", "stop_bits", [Client, AsyncClient]),
         (f"ascii://{LINE}", "stopbits", "stop_bits", [Client, AsyncClient]),
@@ -140,9 +140,9 @@ LINE, HOST = "/dev/ttyUSB0", "192.0.2.1"
         (HOST, "time_out", "timeout", [Client, AsyncClient]),
     ],
 )
-def test_options_of_classes(place: str, option: str, meant: str, makers: list[Any]) -> None:
+def test_wrong_options_have_a_hint(place: str, option: str, name: str, makers: list[Any]) -> None:
     for make in makers:
-        with pytest.raises(TypeError, match=f"'{option}' must be one of .*; did you mean {meant}"):
+        with pytest.raises(TypeError, match=f"'{option}' must be one of .*; did you mean {name}"):
             make(place, **{option: 1})
 
 
@@ -166,7 +166,7 @@ def test_a_host_may_stand_for_a_url(text: str, url: str) -> None:
 
 
 @each_case(
-    ("make", "scheme", "option", "meant"),
+    ("make", "scheme", "option", "name"),
     [
         *(
             (make, "rtu", "stopbits", "stop_bits")
@@ -177,14 +177,14 @@ def test_a_host_may_stand_for_a_url(text: str, url: str) -> None:
         (Client, "udp", "timout", "timeout"),
     ],
 )
-def test_options_in_urls(make: Any, scheme: str, option: str, meant: str) -> None:
+def test_wrong_options_in_urls_have_a_hint(make: Any, scheme: str, option: str, name: str) -> None:
     place = LINE if scheme in ("rtu", "ascii") else HOST
-    with pytest.raises(ValueError, match=f"'{option}' must be one of .*; did you mean {meant}"):
+    with pytest.raises(ValueError, match=f"'{option}' must be one of .*; did you mean {name}"):
         make(f"{scheme}://{place}?{option}=1")
 
 
 @each_case(
-    ("make", "option", "meant"),
+    ("make", "option", "part"),
     [
         (Server, "stopbits", "stop_bits"),
         (Server, "baud", "baudrate"),
@@ -192,9 +192,9 @@ def test_options_in_urls(make: Any, scheme: str, option: str, meant: str) -> Non
         (partial(DeviceConfig, "meter"), "parity", "parity"),
     ],
 )
-def test_settings_that_are_part_of_urls(make: Any, option: str, meant: str) -> None:
+def test_settings_that_are_part_of_urls(make: Any, option: str, part: str) -> None:
     """Classes that take a URL have no arguments for the settings of a serial port."""
-    reason = rf"'{option}' must be one of .*; {meant} is part of the URL .*: rtu:.*\?{meant}="
+    reason = rf"'{option}' must be one of .*; {part} is part of the URL .*: rtu:.*\?{part}="
     with pytest.raises(TypeError, match=reason):
         make(f"rtu://{LINE}", **{option: 1})
 

@@ -47,8 +47,8 @@ def values(*missing: int) -> dict[str, int]:
     return {f"p{at}": at for at in range(20) if at not in missing}
 
 
-def good(found: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in found.items() if not isinstance(value, Exception)}
+def good(results: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in results.items() if not isinstance(value, Exception)}
 
 
 def test_a_hole_costs_ten_requests_once(world: World) -> None:
@@ -56,9 +56,9 @@ def test_a_hole_costs_ten_requests_once(world: World) -> None:
     with world.client_of("tcp", device) as plc:
         counts = []
         for _ in range(10):
-            found = plc.read_map(POINTS, return_exceptions=True)
-            assert good(found) == values(7)
-            assert isinstance(found["p7"], IllegalDataAddress)
+            results = plc.read_map(POINTS, return_exceptions=True)
+            assert good(results) == values(7)
+            assert isinstance(results["p7"], IllegalDataAddress)
             counts.append(device.taken())
         assert counts[0] <= 1 + 10
         assert counts[1:] == [2] * 9
@@ -66,8 +66,8 @@ def test_a_hole_costs_ten_requests_once(world: World) -> None:
         assert (hole.name, hole.table, hole.cells) == ("p7", H, range(7, 8))
         assert hole.device == f"{plc.url}, unit {plc.unit}"
         # Other names of the same map profit from it.
-        found = plc.read_map(POINTS, ["p6", "p7", "p8"], return_exceptions=True)
-        assert good(found) == {"p6": 6, "p8": 8}
+        results = plc.read_map(POINTS, ["p6", "p7", "p8"], return_exceptions=True)
+        assert good(results) == {"p6": 6, "p8": 8}
         assert device.taken() == 2
 
 
@@ -94,8 +94,8 @@ def test_a_hole_is_found_although_another_request_succeeds(world: World) -> None
     points = RegisterMap([Point("far", H, 900), *(Point(f"p{at}", H, at) for at in range(20))])
     device = Meter(7)
     with world.client_of("tcp", device) as plc:
-        found = plc.read_map(points, return_exceptions=True)
-        assert good(found) == {"far": 900, **values(7)}
+        results = plc.read_map(points, return_exceptions=True)
+        assert good(results) == {"far": 900, **values(7)}
 
 
 def test_nothing_more_is_sent_after_the_first_failure(world: World) -> None:
@@ -125,12 +125,12 @@ def test_a_plan_learns_for_each_device_by_itself(world: World) -> None:
         assert ninth.unreadable(plan) == []
         ninth.read_many(plan, return_exceptions=True)
         assert one.taken() > 2
-        told = [
+        messages = [
             (each.device, each.name)
             for client in (first, ninth, second)
             for each in client.unreadable(plan)
         ]
-        assert told == [
+        assert messages == [
             (f"{first.url}, unit 1", "p7"),
             (f"{first.url}, unit 9", "p7"),
             (f"{second.url}, unit 1", "p11"),
@@ -163,8 +163,8 @@ def test_only_plans_and_maps_have_unreadable_items(world: World) -> None:
 def test_items_that_are_no_plan_are_read_as_they_are(world: World) -> None:
     device = Meter(7)
     with world.client_of("tcp", device) as plc:
-        found = plc.read_many([(H, at) for at in range(20)], return_exceptions=True)
-        assert all(isinstance(each, IllegalDataAddress) for each in found)
+        outcomes = plc.read_many([(H, at) for at in range(20)], return_exceptions=True)
+        assert all(isinstance(each, IllegalDataAddress) for each in outcomes)
         assert device.taken() == 1
 
 
@@ -173,12 +173,12 @@ def test_silence_is_no_hole(world: World) -> None:
     device.silent.add(7)
     with world.client_of("tcp", device, timeout=0.5) as plc:
         for _ in range(3):
-            found = plc.read_map(POINTS, return_exceptions=True)
-            assert all(isinstance(each, ModbusTimeoutError) for each in found.values())
+            results = plc.read_map(POINTS, return_exceptions=True)
+            assert all(isinstance(each, ModbusTimeoutError) for each in results.values())
             assert device.taken() == 1
 
 
-def test_what_is_found_is_logged_once(world: World, caplog: pytest.LogCaptureFixture) -> None:
+def test_holes_are_logged_once(world: World, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "libmodbus_py.client.handle")
     with world.client_of("tcp", Meter(7)) as plc:
         for _ in range(3):

@@ -53,8 +53,8 @@ def ended(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def run(program: str, scheme: str = "tcp") -> None:
     whole = f"SCHEME = {scheme!r}\n{HEAD}{program}"
-    done = ended("-W", "ignore::DeprecationWarning", "-c", whole)
-    assert (done.stdout, done.stderr, done.returncode) == ("good\n", "", 0)
+    process = ended("-W", "ignore::DeprecationWarning", "-c", whole)
+    assert (process.stdout, process.stderr, process.returncode) == ("good\n", "", 0)
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu+tcp", "rtu"])
@@ -160,7 +160,7 @@ asyncio.run(main())
 
 
 @pytest.mark.parametrize("kind", ["AsyncClient", "Client"])
-def test_a_child_is_told_of_states_when_it_uses_the_client_not_while_it_is_forked(kind) -> None:
+def test_a_child_gets_states_when_it_uses_the_client_not_while_it_is_forked(kind) -> None:
     run(f"""
 def ask(plc):
     asked = plc.read_holding_registers(1, 1)
@@ -252,8 +252,8 @@ print("ok")
 @pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu"])
 def test_no_descriptor_left_is_a_connection_error_that_passes(scheme: str, kind: str) -> None:
     with peer_at(scheme, good_at(scheme)) as peer:
-        done = ended("-c", PROGRAM, peer.url, kind)
-    assert done.stdout == "ok\n", done.stderr
+        process = ended("-c", PROGRAM, peer.url, kind)
+    assert process.stdout == "ok\n", process.stderr
 
 
 LEFT_OPEN = """
@@ -282,13 +282,13 @@ asyncio.run(main())
 def test_a_program_that_ends_with_open_clients_ends_quietly(warn: bool, how: str) -> None:
     options = ["-W", "default"] if warn else []
     with Server(Device(Mapping(coils=8))).background("tcp://127.0.0.1:0") as running:
-        done = ended(*options, "-c", LEFT_OPEN, running.urls[0], how)
-    assert done.returncode == 0
-    lines = [line for line in done.stderr.splitlines() if "ResourceWarning" not in line]
+        process = ended(*options, "-c", LEFT_OPEN, running.urls[0], how)
+    assert process.returncode == 0
+    lines = [line for line in process.stderr.splitlines() if "ResourceWarning" not in line]
     if not warn:
         assert lines == []
-    assert "Exception ignored" not in done.stderr
-    assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in process.stderr
+    assert "Traceback" not in process.stderr
 
 
 def test_a_port_is_opened_that_a_killed_program_left_as_it_was() -> None:

@@ -19,7 +19,7 @@ from tests.support.replies import BOTH, addresses, answer, exchange, refusal, re
 from tests.support.talk import LINE, TCP, Talk, kinds, tcp, value
 
 
-def test_all_that_are_due_leave_together() -> None:
+def test_repetitions_that_are_due_are_sent_together() -> None:
     talk = Talk(busy_retries=1)
     batches = [talk.ask(number) for number in range(3)]
     talk.come(*[tcp(each, "83 06") for each in talk.sent])
@@ -31,7 +31,7 @@ def test_all_that_are_due_leave_together() -> None:
     assert not any(batch.is_done for batch in batches)
 
 
-def test_they_are_spaced_as_all_requests_are() -> None:
+def test_repetitions_keep_the_spacing_of_requests() -> None:
     talk = Talk(busy_retries=1, request_spacing=0.25)
     for number in range(3):
         talk.ask(number)
@@ -149,8 +149,8 @@ def test_repetitions_come_to_an_end(url: str, trouble: str) -> None:
                 talk.wait(1)
         else:
             talk.wait(1)
-    expected = {"silence": ModbusTimeoutError, "loss": ModbusConnectionError}
-    assert kinds(batch) == [expected.get(trouble, InvalidResponse)]
+    errors = {"silence": ModbusTimeoutError, "loss": ModbusConnectionError}
+    assert kinds(batch) == [errors.get(trouble, InvalidResponse)]
     assert len(talk.sent) == 2
     assert talk.is_at_rest
 
@@ -175,7 +175,7 @@ def test_a_damaged_answer_is_asked_for_again() -> None:
         pdu.RawRequest(UNKNOWN_FUNCTION),
     ],
 )
-def test_what_must_not_be_carried_out_twice_is_sent_once(request_: pdu.Request[Any]) -> None:
+def test_requests_that_must_not_run_twice_are_sent_once(request_: pdu.Request[Any]) -> None:
     talk = Talk(timeout=1, retries=5)
     batch = talk.ask(request_)
     talk.wait(3)
@@ -241,7 +241,7 @@ def test_nothing_more_of_a_batch_is_sent_once_a_refusal_was_received() -> None:
     assert talk.is_at_rest
 
 
-def test_what_comes_behind_a_failure_is_not_repeated() -> None:
+def test_requests_behind_a_failure_are_not_repeated() -> None:
     talk = Talk(retries=5, busy_retries=5)
     batch = talk.ask(0, 1, 2, one_by_one=False)
     talk.come(refusal(talk, 6, 2), refusal(talk, 2, 1))
@@ -253,7 +253,7 @@ def test_what_comes_behind_a_failure_is_not_repeated() -> None:
 
 
 @BOTH
-def test_others_are_asked_during_a_pause(url: str) -> None:
+def test_other_units_are_asked_during_a_pause(url: str) -> None:
     talk = Talk(url, busy_retries=1)
     busy = talk.ask(1)
     talk.come(refusal(talk, 6))

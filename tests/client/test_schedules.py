@@ -31,7 +31,7 @@ def test_no_schedule_gives_a_wrong_value_leaves_anybody_waiting_or_leaks_a_slot(
 ) -> None:
     """On a line no answer comes later than two timeouts after its request: who may wait so long?"""
     talk = Talk(url, timeout=1, retries=retries, busy_retries=1, request_spacing=spacing)
-    asked: list[tuple[Batch, list[int]]] = []
+    batches: list[tuple[Batch, list[int]]] = []
     number = 0
     for event, choice in events:
         if event in ("ask", "many"):
@@ -41,9 +41,9 @@ def test_no_schedule_gives_a_wrong_value_leaves_anybody_waiting_or_leaks_a_slot(
             batch = talk.ask(
                 *numbers, unit=choice % 2 + 1, one_by_one=choice % 2 == 0, go_on=choice > 127
             )
-            asked.append((batch, numbers))
-        elif event == "cancel" and asked:
-            talk.cancel(asked[choice % len(asked)][0])
+            batches.append((batch, numbers))
+        elif event == "cancel" and batches:
+            talk.cancel(batches[choice % len(batches)][0])
         elif event == "broadcast":
             if "rtu" in url:
                 talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
@@ -56,11 +56,11 @@ def test_no_schedule_gives_a_wrong_value_leaves_anybody_waiting_or_leaks_a_slot(
         if talk.connection.broken is not None:
             talk.replace_broken()
     settle_down(talk)
-    for batch, numbers in asked:
+    for batch, numbers in batches:
         assert batch.is_done
-        for expected, outcome in zip(numbers, batch.outcomes, strict=True):
+        for value_, outcome in zip(numbers, batch.outcomes, strict=True):
             is_none = outcome is NOT_ASKED or isinstance(outcome, ModbusError)
-            assert is_none or outcome == [expected]
+            assert is_none or outcome == [value_]
     assert talk.is_at_rest
     talk.life.prove()  # who has lost three connections in a row may be refused
     count = len(talk.sent)

@@ -82,10 +82,10 @@ def step(line: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("mode", "expected"), [("up", "set written cleared"), ("down", "cleared written set")]
+    ("mode", "way"), [("up", "set written cleared"), ("down", "cleared written set")]
 )
 @pytest.mark.parametrize("kind", ["rtu", "ascii"])
-def test_rts_is_turned_while_a_request_goes_out(tmp_path, mode, expected, kind) -> None:
+def test_rts_is_turned_while_a_request_goes_out(tmp_path, mode, way, kind) -> None:
     """A pty has no RTS, so the system calls themselves are looked at."""
     answer = with_echo(b":")[1] if kind == "ascii" else ANSWER
     with FakeUnit(lambda request: [answer]) as unit:
@@ -98,7 +98,7 @@ def test_rts_is_turned_while_a_request_goes_out(tmp_path, mode, expected, kind) 
         program = [sys.executable, "-c", RTS.format(make=make)]
         subprocess.run([*watch, *program], check=True, timeout=60)
     steps = "".join(step(line) for line in trace.read_text().splitlines())
-    assert steps.count(expected) == 2
+    assert steps.count(way) == 2
 
 
 @pytest.mark.parametrize(

@@ -45,8 +45,8 @@ def silent_about(*addresses: int) -> Callable[[bytes, Write], None]:
     return on_request
 
 
-def values(found: dict[str, Any]) -> set[str]:
-    return {name for name, value in found.items() if not isinstance(value, Exception)}
+def values(results: dict[str, Any]) -> set[str]:
+    return {name for name, value in results.items() if not isinstance(value, Exception)}
 
 
 @each_case("scheme", ["tcp", "rtu", "rtu+tcp", "udp"])
@@ -57,15 +57,15 @@ def test_a_silent_device_costs_one_timeout(world: World, scheme, read) -> None:
     with world.connect(peer.url, timeout=0.5) as plc:
         before = len(peer.requests)
         with world.lasting(0.5):
-            found = read(plc)
+            results = read(plc)
         assert len(peer.requests) == before + 1
-        assert {*map(type, found.values())} == {ModbusTimeoutError}
-        assert str(found["p0"]).endswith("address=0, count=1): no answer within 0.5 s")
-        assert str(found["p5"]) == (
+        assert {*map(type, results.values())} == {ModbusTimeoutError}
+        assert str(results["p0"]).endswith("address=0, count=1): no answer within 0.5 s")
+        assert str(results["p5"]) == (
             "unit 1, function 3, ReadHoldingRegisters(address=50, count=1): given up after "
             "ReadHoldingRegisters(address=0, count=1): no answer within 0.5 s"
         )
-        assert (found["p5"].sent, found["p5"].endpoint) == (b"", plc.url)
+        assert (results["p5"].sent, results["p5"].endpoint) == (b"", plc.url)
 
 
 def test_repetitions_are_made_of_the_first_request_only(world: World) -> None:
@@ -79,10 +79,10 @@ def test_requests_in_flight_together_end_together(world: World) -> None:
     peer = world.peer("tcp", ignore)
     with world.connect(peer.url, timeout=0.5, max_in_flight=3) as plc:
         with world.lasting(0.5):
-            found = plc.read_map(POINTS, return_exceptions=True)
-        assert not values(found)
+            results = plc.read_map(POINTS, return_exceptions=True)
+        assert not values(results)
         assert len(peer.requests) == 3
-        assert found["p2"].sent
+        assert results["p2"].sent
         peer.on_request = silent_about()
         assert values(plc.read_map(POINTS, return_exceptions=True)) == {*ITEMS}
 
@@ -93,8 +93,8 @@ def test_a_gateway_that_answers_for_a_silent_unit_is_asked_once(world: World) ->
 
     peer = world.peer("tcp", refuse)
     with world.connect(peer.url) as plc, world.lasting(0.3):
-        found = plc.read_map(POINTS, return_exceptions=True)
-    assert {*map(type, found.values())} == {GatewayTargetFailedToRespond}
+        results = plc.read_map(POINTS, return_exceptions=True)
+    assert {*map(type, results.values())} == {GatewayTargetFailedToRespond}
     assert len(peer.requests) == 1
 
 
@@ -103,21 +103,21 @@ def test_a_device_that_is_silent_about_its_first_registers_is_asked_for_the_othe
         assert not values(plc.read_map(POINTS, return_exceptions=True))
         for _ in range(3):
             with world.lasting(0.5):
-                found = plc.read_map(POINTS, return_exceptions=True)
-            assert values(found) == {"p1", "p2", "p3", "p4", "p5"}
+                results = plc.read_map(POINTS, return_exceptions=True)
+            assert values(results) == {"p1", "p2", "p3", "p4", "p5"}
 
 
 def test_a_device_that_answered_is_asked_for_all(world: World) -> None:
     with world.client_of("tcp", silent_about(20, 40), timeout=0.5) as plc, world.lasting(1.0):
-        found = plc.read_many(ITEMS, return_exceptions=True)
-    assert values(found) == {"p0", "p1", "p3", "p5"}
+        results = plc.read_many(ITEMS, return_exceptions=True)
+    assert values(results) == {"p0", "p1", "p3", "p5"}
 
 
 def test_requests_of_the_caller_are_all_sent(world: World) -> None:
     requests = [pdu.ReadHoldingRegisters(at, 1) for at in range(3)]
     with world.client_of("tcp", ignore, timeout=0.5) as plc, world.lasting(1.5):
-        found = plc.execute_many(requests, return_exceptions=True)
-    assert {*map(type, found)} == {ModbusTimeoutError}
+        outcomes = plc.execute_many(requests, return_exceptions=True)
+    assert {*map(type, outcomes)} == {ModbusTimeoutError}
 
 
 def test_a_lost_connection_ends_only_its_request(world: World) -> None:
@@ -127,9 +127,9 @@ def test_a_lost_connection_ends_only_its_request(world: World) -> None:
         write(None if next(closes, False) else answer(request, "tcp"))
 
     with world.client_of("tcp", on_request) as plc:
-        found = plc.read_map(POINTS, return_exceptions=True)
-    assert isinstance(found["p0"], ModbusConnectionError)
-    assert values(found) == {"p1", "p2", "p3", "p4", "p5"}
+        results = plc.read_map(POINTS, return_exceptions=True)
+    assert isinstance(results["p0"], ModbusConnectionError)
+    assert values(results) == {"p1", "p2", "p3", "p4", "p5"}
 
 
 def test_without_return_exceptions_the_first_error_is_raised(world: World) -> None:
@@ -158,7 +158,7 @@ def fail(connection: Reconnecting, now: float) -> float:
     return connection.next_attempt - now
 
 
-def test_who_cannot_wait_for_the_next_attempt_is_refused_with_the_reason() -> None:
+def test_requests_without_time_for_the_next_attempt_get_the_reason() -> None:
     connection = made()
     assert connection.refusal(0, 1) is None
     for _ in range(5):
@@ -172,10 +172,10 @@ def test_who_cannot_wait_for_the_next_attempt_is_refused_with_the_reason() -> No
     assert connection.refusal(100, 101) is None  # it may come in time
 
 
-def test_states_are_told_with_their_reasons_and_closed_is_the_last() -> None:
-    told: list[tuple[State, Any]] = []
+def test_states_come_with_their_reasons_and_closed_is_the_last() -> None:
+    states: list[tuple[State, Any]] = []
     notices = Notices()
-    connection = made(on_state=lambda state, error: told.append((state, error)), notices=notices)
+    connection = made(on_state=lambda state, error: states.append((state, error)), notices=notices)
     connection.connecting()
     connection.opened()
     assert connection.is_open
@@ -185,9 +185,9 @@ def test_states_are_told_with_their_reasons_and_closed_is_the_last() -> None:
     connection.close()
     connection.close()
     connection.opened()
-    assert told == []
+    assert states == []
     notices.give()
-    assert told == [
+    assert states == [
         (State.CONNECTING, None),
         (State.CONNECTED, None),
         (State.DISCONNECTED, REFUSED),

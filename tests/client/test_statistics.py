@@ -41,15 +41,15 @@ def check(statistics: Statistics) -> None:
     """Check the counters, which must agree when nothing is in flight."""
     assert {result for _, result in statistics.results} <= set(RESULTS)
     results = statistics.results.items()
-    sent = sum(count for (_, result), count in results if result != "unsent")
-    answered = sum(count for (_, result), count in results if result in ("ok", "exception"))
-    assert sent == statistics.requests
-    assert answered == statistics.responses == sum(statistics.answer_times)
+    requests = sum(count for (_, result), count in results if result != "unsent")
+    answers = sum(count for (_, result), count in results if result in ("ok", "exception"))
+    assert requests == statistics.requests
+    assert answers == statistics.responses == sum(statistics.answer_times)
     refusals = sum(count for (_, result), count in results if result == "exception")
     assert refusals == statistics.exceptions
 
 
-def test_each_sending_has_one_result(world: World) -> None:
+def test_each_sent_request_has_a_result(world: World) -> None:
     peer = world.peer("tcp", answering(good, good, refused, good, silent, short, None, good))
     with world.connect(peer.url, timeout=60) as plc:
         for request in (REQUEST, WRITE, REQUEST, REQUEST, REQUEST, WRITE, REQUEST, REQUEST):
@@ -73,7 +73,7 @@ def test_repetitions_have_results_of_their_own(world: World) -> None:
         check(plc.statistics)
 
 
-def test_what_nobody_waits_for_any_more_is_cancelled(world: World) -> None:
+def test_requests_without_a_caller_are_cancelled(world: World) -> None:
     """The first failure ends a batch; the answers to the others come, and are dropped."""
     with world.client_of("tcp", answering(refused, good), timeout=1, max_in_flight=4) as plc:
         with pytest.raises(ModbusError):
@@ -84,7 +84,7 @@ def test_what_nobody_waits_for_any_more_is_cancelled(world: World) -> None:
         check(plc.statistics)
 
 
-def test_what_was_not_sent_is_told_from_the_rest(world: World) -> None:
+def test_unsent_requests_are_counted_apart(world: World) -> None:
     plc = world.connect("tcp://10.0.0.9", timeout=0.2)
     for _ in range(2):
         with pytest.raises(ModbusError):
@@ -96,7 +96,7 @@ def test_what_was_not_sent_is_told_from_the_rest(world: World) -> None:
     check(plc.statistics)
 
 
-def test_a_cancelled_request_is_counted_so() -> None:
+def test_a_cancelled_request_is_counted() -> None:
     async def use(plc: AsyncClient, _: Scripted) -> None:
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.1):
@@ -109,7 +109,7 @@ def test_a_cancelled_request_is_counted_so() -> None:
     run_client(answering(silent, good), use, timeout=5)
 
 
-def test_an_interrupted_request_is_counted_so() -> None:
+def test_an_interrupted_request_is_counted() -> None:
     def interrupt(request: bytes) -> list[bytes]:
         os.kill(os.getpid(), signal.SIGINT)
         return []
@@ -184,13 +184,13 @@ def test_an_answer_is_counted_up_to_its_bound(seconds: float, place: int) -> Non
 
 
 def test_clients_one_after_the_other_count_in_the_same_place(connect: Connect) -> None:
-    counted = Statistics()
+    totals = Statistics()
     with FakeServer(lambda request: [echo(request)]) as server:
         for _ in range(3):
-            with connect(server.url, statistics=counted) as plc:
+            with connect(server.url, statistics=totals) as plc:
                 assert plc.read_holding_registers(7, 1) == [7]
-                assert plc.statistics is counted
-    assert (counted.connects, counted.requests, counted.responses) == (3, 3, 3)
+                assert plc.statistics is totals
+    assert (totals.connects, totals.requests, totals.responses) == (3, 3, 3)
 
 
 def test_statistics_must_be_some() -> None:

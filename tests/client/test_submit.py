@@ -30,21 +30,21 @@ from tests.support.talk import Talk
 READ = pdu.ReadHoldingRegisters(7, 1)
 
 
-def test_many_are_told_of_once_each() -> None:
+def test_each_submitted_request_calls_on_done_once() -> None:
     def up_to_nine(request: bytes, write: Write) -> None:
         write(echo(request) if request[9] < 10 else mbap(request, b"\x83\x02"))
 
     async def use(client: AsyncClient, _: Scripted) -> None:
-        told: list[int] = []
-        made = [
+        indexes: list[int] = []
+        submissions = [
             Sender(client).submit(
-                1, pdu.ReadHoldingRegisters(at % 12, 1), lambda at=at: told.append(at)
+                1, pdu.ReadHoldingRegisters(at % 12, 1), lambda at=at: indexes.append(at)
             )
             for at in range(100)
         ]
         await asyncio.sleep(5)
-        assert sorted(told) == list(range(100))
-        for at, each in enumerate(made):
+        assert sorted(indexes) == list(range(100))
+        for at, each in enumerate(submissions):
             if at % 12 < 10:
                 assert each.outcome == [at % 12]
             else:
@@ -53,45 +53,45 @@ def test_many_are_told_of_once_each() -> None:
     run_client(up_to_nine, use)
 
 
-def test_one_that_is_withdrawn_is_not_told_of_and_its_answer_dropped() -> None:
+def test_a_withdrawn_request_calls_no_on_done_and_its_answer_is_dropped() -> None:
     async def use(client: AsyncClient, _: Scripted) -> None:
-        told: list[str] = []
-        first = Sender(client).submit(1, READ, lambda: told.append("first"))
+        names: list[str] = []
+        first = Sender(client).submit(1, READ, lambda: names.append("first"))
         await asyncio.sleep(0.05)
         first.withdraw()
         first.withdraw()
-        second = Sender(client).submit(1, READ, lambda: told.append("second"))
+        second = Sender(client).submit(1, READ, lambda: names.append("second"))
         await asyncio.sleep(1)
-        assert told == ["second"]
+        assert names == ["second"]
         assert second.outcome == [7]
         second.withdraw()  # too late, and no harm
         assert client.statistics.late_answers == 1
 
     def late(request: bytes) -> list[bytes]:
-        held.append(echo(request))
+        answers.append(echo(request))
         return []
 
-    held: list[bytes] = []
-    run_client(answering(late, lambda request: [*held, echo(request)]), use, timeout=5)
+    answers: list[bytes] = []
+    run_client(answering(late, lambda request: [*answers, echo(request)]), use, timeout=5)
 
 
 @pytest.mark.parametrize("kind", ["nobody", "silence", "closed"])
-def test_failures_are_told_of_too(kind: str) -> None:
+def test_failures_call_on_done(kind: str) -> None:
     async def main(peer: Scripted) -> None:
         client = AsyncClient("tcp://10.0.0.9" if kind == "nobody" else peer.url, timeout=0.2)
         if kind == "closed":
             await client.close()
-        done = asyncio.Event()
-        submitted = Sender(client).submit(1, READ, done.set)
-        await asyncio.wait_for(done.wait(), 5)
-        expected = ModbusTimeoutError if kind == "silence" else ModbusConnectionError
-        assert isinstance(submitted.outcome, expected)
+        event = asyncio.Event()
+        submitted = Sender(client).submit(1, READ, event.set)
+        await asyncio.wait_for(event.wait(), 5)
+        error = ModbusTimeoutError if kind == "silence" else ModbusConnectionError
+        assert isinstance(submitted.outcome, error)
         await client.close()
 
     run_peer(ignore, main)
 
 
-async def test_what_cannot_be_sent_is_refused_at_once() -> None:
+async def test_impossible_requests_are_refused_at_once() -> None:
     client = AsyncClient("rtu:///dev/nowhere")
     with pytest.raises(TypeError):
         Sender(client).submit(1, b"\3", lambda: None)  # type: ignore[arg-type]
@@ -119,7 +119,7 @@ def refused(outcome: object) -> bool:
     return isinstance(outcome, ModbusConnectionError) and outcome.errno == errno.EPERM
 
 
-def test_nothing_connects_or_is_sent_until_it_may() -> None:
+def test_without_permission_a_client_neither_connects_nor_sends() -> None:
     gate = Gate(is_open=False)
 
     async def main(peer: Scripted) -> None:
@@ -130,9 +130,9 @@ def test_nothing_connects_or_is_sent_until_it_may() -> None:
         assert peer.connections == 0
         gate.is_open = True
         assert await plc.read_holding_registers(7, 1) == [7]
-        asked = gate.asked
+        count = gate.asked
         assert await plc.read_holding_registers(8, 1) == [8]
-        assert gate.asked > asked
+        assert gate.asked > count
         gate.is_open = False
         with pytest.raises(ModbusConnectionError, match="may_send"):
             await plc.read_holding_registers(7, 1)
@@ -143,9 +143,9 @@ def test_nothing_connects_or_is_sent_until_it_may() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "sent"), [({"max_in_flight": 1}, 1), ({"connect_delay": 0.1}, 0)]
+    ("options", "count"), [({"max_in_flight": 1}, 1), ({"connect_delay": 0.1}, 0)]
 )
-def test_those_that_wait_are_not_sent_once_it_is_over(options: Any, sent: int) -> None:
+def test_waiting_requests_are_refused_once_permission_ends(options: Any, count: int) -> None:
     """They wait for a slot, or for the delay after connecting: asked at their start it was yes."""
     gate = Gate()
 
@@ -154,16 +154,16 @@ def test_those_that_wait_are_not_sent_once_it_is_over(options: Any, sent: int) -
         await asyncio.sleep(0.03)
         gate.shut()
         outcomes = await asyncio.gather(*asking, return_exceptions=True)
-        assert len(peer.requests) == sent
-        assert sum(map(refused, outcomes)) == 3 - sent
+        assert len(peer.requests) == count
+        assert sum(map(refused, outcomes)) == 3 - count
 
     run_client(good_at("tcp", after=0.1), use, may_send=gate, **options)
 
 
 def test_false_is_no_mistake_and_all_but_true_and_false_is(caplog) -> None:
-    for allowed in (False, True):
-        talk = Talk(may_send=lambda allowed=allowed: allowed)
-        assert talk.ask(1).is_done is not allowed
+    for permission in (False, True):
+        talk = Talk(may_send=lambda permission=permission: permission)
+        assert talk.ask(1).is_done is not permission
         assert caplog.records == []
     for mistake in (lambda: 1, lambda: 0, lambda: None, lambda: "yes", lambda: 1 / 0 > 0):
         (outcome,) = Talk(may_send=mistake).ask(1).outcomes
@@ -173,7 +173,7 @@ def test_false_is_no_mistake_and_all_but_true_and_false_is(caplog) -> None:
         caplog.clear()
 
 
-def test_it_is_for_asyncio_alone() -> None:
+def test_may_send_is_an_option_of_asyncio_clients_alone() -> None:
     with pytest.raises(TypeError, match="may_send"):
         Client("tcp://127.0.0.1", may_send=Gate())  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="may_send must be a function"):
@@ -181,7 +181,7 @@ def test_it_is_for_asyncio_alone() -> None:
 
 
 @pytest.mark.parametrize("when", ["given", "traced"])
-def test_nothing_goes_while_a_line_is_turned_round(when, monkeypatch) -> None:
+def test_without_permission_nothing_is_sent_while_rts_is_turned(when, monkeypatch) -> None:
     """With RTS the frame leaves later than it was given to the port."""
     gate = Gate()
     send = SerialPort.send
@@ -204,18 +204,18 @@ def test_nothing_goes_while_a_line_is_turned_round(when, monkeypatch) -> None:
         assert wire.sent_by("client") == b""
 
 
-def test_what_could_not_be_sent_is_not_traced(world: World, monkeypatch) -> None:
+def test_unsent_frames_are_not_traced(world: World, monkeypatch) -> None:
     """The connection ends when the frame is to be sent."""
 
     def fail(self: Port, adus: list[bytes], now: float) -> None:
         raise ModbusConnectionError("reset", errno=errno.ECONNRESET)
 
-    traced: list[Traced] = []
-    with world.client_of("tcp", good, trace=traced.append) as plc:
+    frames: list[Traced] = []
+    with world.client_of("tcp", good, trace=frames.append) as plc:
         with monkeypatch.context() as patch:
             patch.setattr(StreamPort, "send", fail)
             with pytest.raises(ModbusConnectionError):
                 plc.read_holding_registers(5, 1)
-        assert traced == []
+        assert frames == []
         assert plc.read_holding_registers(5, 1) == [5]
-        assert [each.direction for each in traced] == ["sent", "received"]
+        assert [each.direction for each in frames] == ["sent", "received"]

@@ -33,13 +33,13 @@ def assert_read(client: Any, address: int) -> None:
 @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 def test_a_child_sends_nothing_of_what_its_parent_asks() -> None:
     """The fork comes while another thread writes many things one after the other."""
-    written: list[bytes] = []
+    heads: list[bytes] = []
     halfway = threading.Event()
 
     def slowly(request: bytes, write: Write) -> None:
         if request[7] == 6:
-            written.append(request[8:12])
-            if len(written) == 5:
+            heads.append(request[8:12])
+            if len(heads) == 5:
                 halfway.set()
             write(request, after=0.01)
         else:
@@ -53,7 +53,7 @@ def test_a_child_sends_nothing_of_what_its_parent_asks() -> None:
 
         assert in_child(lambda: assert_read(context, 7)) == 0
         writer.join()
-        assert len(written) == 40
+        assert len(heads) == 40
         assert_read(context, 8)
 
 
@@ -61,8 +61,8 @@ def test_a_child_sends_nothing_of_what_its_parent_asks() -> None:
 def test_a_fork_in_a_hook_leaves_both_with_contexts_that_work() -> None:
     statuses: list[int] = []
 
-    def fork(traced: Any) -> None:
-        if traced.direction == "sent" and not statuses:
+    def fork(frame: Any) -> None:
+        if frame.direction == "sent" and not statuses:
             statuses.append(-1)
             child = os.fork()
             if child == 0:
@@ -123,31 +123,31 @@ def test_a_hundred_threads_and_a_close() -> None:
     with TcpPeer(good) as peer, ThreadPoolExecutor(100) as pool:
         for pause in (0.0, 0.002, 0.03):
             context = Client(peer.url)
-            asked = [pool.submit(ask, context, number) for number in range(100)]
+            futures = [pool.submit(ask, context, number) for number in range(100)]
             time.sleep(pause)
             context.close()
-            for each in asked:
+            for each in futures:
                 each.result(5)
 
 
 @ALL
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "udp", "rtu", "ascii"])
-def test_descriptors_beyond_1023(scheme: str, kind: str) -> None:
+def test_clients_work_with_descriptors_beyond_1023(scheme: str, kind: str) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard != resource.RLIM_INFINITY and hard < 2048:
         pytest.skip("this system allows no more descriptors")
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2048), hard))
-    held: list[int] = []
+    descriptors: list[int] = []
     with peer_at(scheme, good_at(scheme)) as peer:
         try:
-            while not held or held[-1] < 1030:
-                held.append(os.dup(0))
+            while not descriptors or descriptors[-1] < 1030:
+                descriptors.append(os.dup(0))
             with asking(kind, peer.url) as client:
                 assert client._driver._port.descriptor > 1023
                 for address in range(3):
                     assert read(client, address) == address
         finally:
-            for descriptor in held:
+            for descriptor in descriptors:
                 os.close(descriptor)
 
 
@@ -220,12 +220,12 @@ def test_a_client_forgotten_while_it_connects_leaves_nothing() -> None:
     async def main() -> None:
         for steps in range(6):
             client = AsyncClient(server.url)
-            asked = asyncio.create_task(client.connect())
+            task = asyncio.create_task(client.connect())
             for _ in range(steps):
                 await asyncio.sleep(0)
-            asked.cancel()
-            await asyncio.wait([asked])
-            del client, asked
+            task.cancel()
+            await asyncio.wait([task])
+            del client, task
             gc.collect()
         async with AsyncClient(server.url) as last:  # those before it are accepted
             assert await last.read_holding_registers(1, 1) == [1]

@@ -113,11 +113,11 @@ def test_a_unit_that_does_not_exist_is_refused_when_it_is_set(kind: str, unit, e
 @pytest.mark.parametrize(("unit", "error"), UNITS)
 def test_a_unit_that_does_not_exist_is_refused_when_it_is_submitted(unit, error) -> None:
     async def use(plc: AsyncClient, _: Scripted) -> None:
-        waiting = asyncio.create_task(plc.read_holding_registers(7, 1))
+        task = asyncio.create_task(plc.read_holding_registers(7, 1))
         await asyncio.sleep(0)
         with pytest.raises(error, match=r"unit must be .*0\.\.255"):
             Sender(plc).submit(unit, pdu.ReadHoldingRegisters(1, 1), lambda: None)
-        assert await waiting == [7]
+        assert await task == [7]
 
     run_client(good, use)
 
@@ -145,21 +145,21 @@ def test_a_shorter_timeout_of_another_thread_ends_the_wait(scheme: str) -> None:
         asking("blocking", peer.url, timeout=600) as client,
         ThreadPoolExecutor(1) as pool,
     ):
-        waiting = pool.submit(client.read_holding_registers, 1, 1)
+        future = pool.submit(client.read_holding_registers, 1, 1)
         until(lambda: peer.requests)
         client.timeout = 0.05
         with pytest.raises(ModbusTimeoutError, match=r"within 0\.05 s"):
-            waiting.result()
+            future.result()
 
 
 def test_a_shorter_timeout_of_another_thread_ends_an_attempt_to_connect() -> None:
     with dead() as port, ThreadPoolExecutor(1) as pool:
         client = Client(f"tcp://127.0.0.1:{port}", timeout=600)
-        waiting = pool.submit(client.connect)
+        future = pool.submit(client.connect)
         until(lambda: client.state is State.CONNECTING)
         client.timeout = 0.05
         with pytest.raises(ModbusConnectionError):
-            waiting.result()
+            future.result()
         client.close()
 
 

@@ -25,16 +25,16 @@ NOT_AWAITED = {"for_unit", "unreadable", "watch"}
 
 def methods(client: type) -> dict[str, Any]:
     """Return the public methods of a client by name."""
-    found = inspect.getmembers(client, inspect.isfunction)
+    functions = inspect.getmembers(client, inspect.isfunction)
     others = ("_", "from_url")  # which is static
-    return {name: method for name, method in found if not name.startswith(others)}
+    return {name: method for name, method in functions if not name.startswith(others)}
 
 
 def generated(*arguments: str, root: Path = ROOT) -> tuple[int, str]:
     command = [sys.executable, str(root / "packaging" / "generate_blocking.py"), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert done.stderr == ""
-    return done.returncode, done.stdout
+    process = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert process.stderr == ""
+    return process.returncode, process.stdout
 
 
 def test_the_blocking_methods_are_those_of_their_sources() -> None:
@@ -86,17 +86,17 @@ def test_help_lists_all_methods_and_options(client: type) -> None:
     assert "read_coils(self,address:int,count:int)->list[bool]" in text
 
 
-def called(plc: Any, name: str, *arguments: Any, **named: Any) -> str:
+def called(plc: Any, name: str, *arguments: Any, **keywords: Any) -> str:
     """Return the message of the TypeError with which a method refuses its arguments."""
 
     async def main() -> None:
-        result = getattr(plc, name)(*arguments, **named)
+        result = getattr(plc, name)(*arguments, **keywords)
         if inspect.isawaitable(result):
             await result
 
-    with pytest.raises(TypeError) as raised:
+    with pytest.raises(TypeError) as caught:
         asyncio.run(main())
-    return str(raised.value)
+    return str(caught.value)
 
 
 CLIENT = "? it is an argument of the client"
@@ -133,8 +133,8 @@ CLIENT = "? it is an argument of the client"
 )
 def test_a_wrong_name_in_a_call(make, name, arguments, wrong, close) -> None:
     plc = make("tcp://127.0.0.1:1")
-    told = f"{make.__name__}.{name}() got an unexpected keyword argument {wrong!r}{close}"
-    assert called(plc, name, *arguments, **{wrong: 3}) == told
+    message = f"{make.__name__}.{name}() got an unexpected keyword argument {wrong!r}{close}"
+    assert called(plc, name, *arguments, **{wrong: 3}) == message
     assert plc.statistics.connects == 0
 
 
@@ -142,22 +142,22 @@ def test_a_wrong_name_in_a_call(make, name, arguments, wrong, close) -> None:
 def test_no_method_takes_other_names(make: Any) -> None:
     plc = make("tcp://127.0.0.1:1")
     for name in methods(make).keys() - {"close"}:
-        told = called(plc, name, slave_id=3)
-        assert told.startswith(f"{make.__name__}.{name}() got an unexpected keyword")
-        assert "did you mean unit?" in told
+        message = called(plc, name, slave_id=3)
+        assert message.startswith(f"{make.__name__}.{name}() got an unexpected keyword")
+        assert "did you mean unit?" in message
 
 
 @each_case("make", [Client, AsyncClient])
-def test_what_is_missing_is_named(make: Any) -> None:
+def test_a_call_without_an_argument_names_it(make: Any) -> None:
     plc = make("tcp://127.0.0.1:1")
     for name, method in methods(make).items():
-        needed = [
+        parameters = [
             each
             for each in inspect.signature(method).parameters.values()
             if each.default is each.empty and each.kind is not each.VAR_KEYWORD
         ][1:]
-        if needed:
-            assert any(each.name in called(plc, name) for each in needed), name
+        if parameters:
+            assert any(each.name in called(plc, name) for each in parameters), name
     assert called(plc, "read_coils", 0) == "count must be an integer in 1..2000, not nothing"
     assert called(plc, "read_coils", 0, 1, 2) == (
         f"{make.__name__}.read_coils() takes from 1 to 3 positional arguments but 4 were given"

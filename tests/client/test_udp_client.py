@@ -27,10 +27,10 @@ from tests.support.reads import echoes, good, reads
 @pytest.fixture
 def refused_port() -> Iterator[int]:
     """Where nobody listens, and nobody else will: its socket hears another one only."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as made:
-        made.bind(("127.0.0.1", 0))
-        made.connect(made.getsockname())
-        yield int(made.getsockname()[1])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        sock.connect(sock.getsockname())
+        yield int(sock.getsockname()[1])
 
 
 @NEEDS_IPV6
@@ -60,7 +60,7 @@ def doubled(request: bytes) -> list[bytes]:
 
 
 @pytest.mark.parametrize("beside", [damaged, doubled])
-def test_what_comes_beside_an_answer_reaches_nobody(world: World, beside: Answer) -> None:
+def test_datagrams_beside_an_answer_are_dropped(world: World, beside: Answer) -> None:
     peer = world.peer("udp", answering(lambda request: [*beside(request), echo(request)]))
     with world.connect(peer.url, max_in_flight=16) as context:
         assert [read(context, address) for address in range(20)] == list(range(20))
@@ -93,15 +93,15 @@ def test_datagram_of_another_host_is_never_seen(connect: Connect) -> None:
         assert context.statistics.late_answers == 0
 
 
-def test_many_in_flight_lose_some_and_get_the_others_in_any_order(world: World) -> None:
-    waiting: list[bytes] = []
+def test_of_many_in_flight_only_those_without_an_answer_time_out(world: World) -> None:
+    requests: list[bytes] = []
 
     def four_at_a_time(request: bytes) -> list[bytes]:
-        waiting.append(request)
-        if len(waiting) < 4:
+        requests.append(request)
+        if len(requests) < 4:
             return []
-        answers = [echo(each) for each in reversed(waiting) if each[9] not in (5, 30)]
-        waiting.clear()
+        answers = [echo(each) for each in reversed(requests) if each[9] not in (5, 30)]
+        requests.clear()
         return answers
 
     peer = world.peer("udp", answering(four_at_a_time))
@@ -109,10 +109,10 @@ def test_many_in_flight_lose_some_and_get_the_others_in_any_order(world: World) 
         world.connect(peer.url, timeout=60, max_in_flight=16) as context,
         world.lasting(60, more=0.02),
     ):
-        found = context.execute_many(reads(40), return_exceptions=True)
-    assert [at for at, each in enumerate(found) if isinstance(each, ModbusError)] == [5, 30]
-    assert isinstance(found[5], ModbusTimeoutError)
-    assert all(found[at] == [at] for at in range(40) if at not in (5, 30))
+        outcomes = context.execute_many(reads(40), return_exceptions=True)
+    assert [at for at, each in enumerate(outcomes) if isinstance(each, ModbusError)] == [5, 30]
+    assert isinstance(outcomes[5], ModbusTimeoutError)
+    assert all(outcomes[at] == [at] for at in range(40) if at not in (5, 30))
     assert len(peer.requests) == 40
 
 
@@ -124,8 +124,8 @@ def test_port_where_nobody_listens_is_a_connection_error_at_once(
             with pytest.raises(ModbusConnectionError) as caught:
                 context.read_coils(0, 1)
             assert caught.value.errno == errno.ECONNREFUSED
-        found = context.execute_many(reads(800), return_exceptions=True)
-        assert {each.errno for each in found} == {errno.ECONNREFUSED}
+        outcomes = context.execute_many(reads(800), return_exceptions=True)
+        assert {each.errno for each in outcomes} == {errno.ECONNREFUSED}
 
 
 def test_port_that_comes_back_is_used_again(connect: Connect) -> None:
@@ -151,7 +151,7 @@ def counted(client: Any) -> dict[str, int]:
 
 @SCHEMES
 @ALL
-def test_those_before_an_answer_are_no_answer(kind: str, scheme: str) -> None:
+def test_empty_datagrams_before_an_answer_are_ignored(kind: str, scheme: str) -> None:
     def on_request(request: bytes, write: Write) -> None:
         for _ in range(3):
             write(b"")
@@ -164,7 +164,7 @@ def test_those_before_an_answer_are_no_answer(kind: str, scheme: str) -> None:
 
 @SCHEMES
 @ALL
-def test_those_that_come_to_an_idle_client_change_nothing(kind: str, scheme: str) -> None:
+def test_empty_datagrams_to_an_idle_client_change_nothing(kind: str, scheme: str) -> None:
     """Neither its connection nor the rest that a unit without an answer gets."""
     is_silent = False
 
@@ -199,15 +199,15 @@ def test_an_answer_in_two_datagrams_is_one(world: World) -> None:
 
 
 def test_a_damaged_answer_ends_the_wait_as_on_a_line(world: World) -> None:
-    damaged = ANSWER[:-1] + bytes([ANSWER[-1] ^ 1])
-    peer = world.peer("rtu+udp", answering(lambda request: [damaged]))
+    frame = ANSWER[:-1] + bytes([ANSWER[-1] ^ 1])
+    peer = world.peer("rtu+udp", answering(lambda request: [frame]))
     with (
         world.connect(peer.url, unit=1, timeout=30) as client,
         world.lasting(0, more=1),
         pytest.raises(FrameError) as caught,
     ):
         read(client, 0)
-    assert caught.value.received == damaged
+    assert caught.value.received == frame
 
 
 def test_two_servers_do_not_answer_each_other_for_ever() -> None:

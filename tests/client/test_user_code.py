@@ -86,10 +86,10 @@ def test_a_mistake_in_a_class_is_met_by_its_caller(scheme: str, kind, name, outc
     with making(kind) as world:
         peer = world.peer(scheme, replying(scheme, outcome))
         with world.connect(peer.url, timeout=0.5, retries=1) as client:
-            found = outcome_of(lambda: client.execute(with_mistake(name)))
-            assert found == [5] or isinstance(found, Mistake | ModbusError), found
+            result = outcome_of(lambda: client.execute(with_mistake(name)))
+            assert result == [5] or isinstance(result, Mistake | ModbusError), result
             if name in ("encode", "expects_response"):
-                assert isinstance(found, Mistake)
+                assert isinstance(result, Mistake)
                 assert peer.requests == []
             assert client.read_holding_registers(7, 1) == [7]
             assert client._driver._connection.in_flight == 0
@@ -147,66 +147,66 @@ def test_a_log_handler_that_fails_fails_no_call(world: World, scheme: str, hook)
         other.close()
 
 
-def test_states_and_traces_are_told_when_they_are_true(world: World) -> None:
+def test_callbacks_see_the_state_they_are_called_with(world: World) -> None:
     """A callback that looks at the client sees the state that it is told of."""
-    told: list[tuple[State, State]] = []
-    sent: list[tuple[str, int]] = []
-    made: list[Any] = []
+    states: list[tuple[State, State]] = []
+    counts: list[tuple[str, int]] = []
+    clients: list[Any] = []
     peer = world.peer("tcp", replying("tcp", "answer"))
 
     def on_state(state: State, error: object) -> None:
-        told.append((state, made[0].state))
+        states.append((state, clients[0].state))
 
-    def trace(traced: Any) -> None:
-        sent.append((traced.direction, made[0].statistics.requests))
+    def trace(frame: Any) -> None:
+        counts.append((frame.direction, clients[0].statistics.requests))
 
-    made.append(world.connect(peer.url, on_state=on_state, trace=trace))
-    with made[0] as client:
+    clients.append(world.connect(peer.url, on_state=on_state, trace=trace))
+    with clients[0] as client:
         assert client.read_holding_registers(1, 1) == [1]
-    assert [state for state, _ in told] == [State.CONNECTING, State.CONNECTED, State.CLOSED]
-    assert all(state is seen for state, seen in told)
-    assert sent == [("sent", 1), ("received", 1)]
+    assert [state for state, _ in states] == [State.CONNECTING, State.CONNECTED, State.CLOSED]
+    assert all(state is current for state, current in states)
+    assert counts == [("sent", 1), ("received", 1)]
 
 
 def test_a_trace_of_a_request_comes_before_its_answer(world: World) -> None:
     times: list[tuple[str, float]] = []
     peer = world.peer("tcp", lambda request, write: write(answer(request, "tcp"), after=0.3))
     with world.connect(
-        peer.url, trace=lambda traced: times.append((traced.direction, world.now))
+        peer.url, trace=lambda frame: times.append((frame.direction, world.now))
     ) as client:
         start = world.now
         client.read_holding_registers(1, 1)
-    (sent, at), (received, then) = times
-    assert (sent, received) == ("sent", "received")
+    (first, at), (second, then) = times
+    assert (first, second) == ("sent", "received")
     assert at - start < 0.1
     assert then - at >= 0.299
 
 
 def submitting(act: Callable[[AsyncClient, list[Any]], object]) -> list[Any]:
     """Submit two reads, the first with an `on_done` of the test; return what was told."""
-    told: list[Any] = []
+    outcomes: list[Any] = []
 
     async def use(plc: AsyncClient, _: Scripted) -> None:
-        done = asyncio.Event()
-        Sender(plc).submit(1, pdu.ReadHoldingRegisters(1, 1), lambda: act(plc, told))
-        second = Sender(plc).submit(1, pdu.ReadHoldingRegisters(2, 1), done.set)
-        await done.wait()
-        told.append(second.outcome)
+        event = asyncio.Event()
+        Sender(plc).submit(1, pdu.ReadHoldingRegisters(1, 1), lambda: act(plc, outcomes))
+        second = Sender(plc).submit(1, pdu.ReadHoldingRegisters(2, 1), event.set)
+        await event.wait()
+        outcomes.append(second.outcome)
         await asyncio.sleep(1)
 
     run_client(good, use)
-    return told
+    return outcomes
 
 
 def test_an_on_done_that_raises_is_logged(caplog: pytest.LogCaptureFixture) -> None:
-    assert submitting(lambda plc, told: fail()) == [[2]]
+    assert submitting(lambda plc, outcomes: fail()) == [[2]]
     assert [record.message for record in caplog.records] == ["on_done failed"]
 
 
 def test_an_on_done_may_submit() -> None:
-    def submit(plc: AsyncClient, told: list[Any]) -> None:
+    def submit(plc: AsyncClient, outcomes: list[Any]) -> None:
         third = Sender(plc).submit(
-            1, pdu.ReadHoldingRegisters(3, 1), lambda: told.append(third.outcome)
+            1, pdu.ReadHoldingRegisters(3, 1), lambda: outcomes.append(third.outcome)
         )
 
     assert submitting(submit) == [[2], [3]]
@@ -228,12 +228,12 @@ class Submitting(pdu.ReadHoldingRegisters):
 
 def test_a_class_may_use_the_client_while_it_decodes() -> None:
     async def use(plc: AsyncClient, _: Scripted) -> None:
-        told: list[Any] = []
-        kind: Any = type("Own", (Submitting,), {"plc": plc, "told": told, "__slots__": ()})
+        outcomes: list[Any] = []
+        kind: Any = type("Own", (Submitting,), {"plc": plc, "told": outcomes, "__slots__": ()})
         results = await asyncio.gather(*(plc.execute(kind(at, 1)) for at in (1, 2, 3)))
         await asyncio.sleep(1)
         assert results == [[1], [2], [3]]
-        assert told == [[6], [6], [6]]
+        assert outcomes == [[6], [6], [6]]
 
     run_client(good, use)
 
@@ -292,28 +292,28 @@ def test_a_hook_that_closes_ends_the_request(at: int, hook: str) -> None:
 
 @pytest.mark.parametrize("hook", ["on_state", "trace"])
 def test_a_hook_that_asks_is_refused_and_harms_nobody(hook: str) -> None:
-    refused: list[BaseException] = []
+    errors: list[BaseException] = []
 
     def ask(*_: object) -> None:
         try:
             context.read_coils(0, 1)
         except (RuntimeError, ModbusConnectionError) as error:
-            refused.append(error)
+            errors.append(error)
 
     options: dict[str, Any] = {hook: ask}
     with FakeServer(tcp) as server:
         context = Client(f"tcp://127.0.0.1:{server.port}", **options)
         assert context.read_holding_registers(1, 1) == [1]
         context.close()
-    assert isinstance(refused[0], RuntimeError)
+    assert isinstance(errors[0], RuntimeError)
 
 
 @ALL
-@pytest.mark.parametrize("encoded", [b"", bytes(254), "text", None, 7])
-def test_a_request_that_encodes_to_nonsense_is_refused(encoded: Any, kind: str) -> None:
+@pytest.mark.parametrize("data", [b"", bytes(254), "text", None, 7])
+def test_a_request_that_encodes_to_nonsense_is_refused(data: Any, kind: str) -> None:
     class Nonsense(pdu.ReadHoldingRegisters):
         def encode(self) -> Any:
-            return encoded
+            return data
 
     with (
         FakeServer(tcp) as server,

@@ -70,15 +70,15 @@ class Wall:
         self, most: int, *, during: Any = None, what: Any = METER, **options: Any
     ) -> list[Any]:
         """Return the first values, each with the time at which it came."""
-        found = []
+        polls = []
         with self.world.connect(self.device.url, timeout=0.5, max_pause=0) as plc:
             for values in plc.watch(what, **options):
-                found.append((self.world.now, values))
+                polls.append((self.world.now, values))
                 if during is not None:
                     during(plc)
-                if len(found) == most:
+                if len(polls) == most:
                     break
-        return found
+        return polls
 
     def times_of(self, address: int) -> list[int]:
         """Return when a register was asked, in whole seconds since the first request."""
@@ -91,49 +91,49 @@ def wall(world: World) -> Wall:
     return Wall(world)
 
 
-def times(found: list[Any]) -> list[float]:
+def times(polls: list[Any]) -> list[float]:
     """Return the times after the first one."""
-    return [round(at - found[0][0], 2) for at, _ in found]
+    return [round(at - polls[0][0], 2) for at, _ in polls]
 
 
-def values_of(found: list[Any]) -> list[Any]:
-    return [values for _, values in found]
+def values_of(polls: list[Any]) -> list[Any]:
+    return [values for _, values in polls]
 
 
 def test_times_are_exact_and_do_not_drift(wall: Wall) -> None:
     wall.takes = 0.03
-    found = wall.watch(51, every=0.7)
-    assert values_of(found) == [{"a": 7, "b": 7}] * 51
+    polls = wall.watch(51, every=0.7)
+    assert values_of(polls) == [{"a": 7, "b": 7}] * 51
     # The first poll also connects, and finds out whether the device takes two requests at once.
-    assert times(found[1:]) == [round(0.7 * number, 2) for number in range(50)]
+    assert times(polls[1:]) == [round(0.7 * number, 2) for number in range(50)]
 
 
 def test_polls_that_are_late_are_left_out(wall: Wall) -> None:
     pauses = iter([0.0, 2.5, 0.2, 0.9, 0.0])
-    found = wall.watch(5, every=1, during=lambda _: wall.world.compute(next(pauses)))
-    assert times(found) == [0, 1, 4, 5, 6]
+    polls = wall.watch(5, every=1, during=lambda _: wall.world.compute(next(pauses)))
+    assert times(polls) == [0, 1, 4, 5, 6]
 
 
 def test_a_device_that_is_away_gives_reasons(wall: Wall) -> None:
     def during(_: Any) -> None:
         wall.silent = set() if wall.silent else {0, 9}
 
-    found = [values for _, values in wall.watch(4, every=1, during=during)]
-    assert found[0] == found[2] == {"a": 7, "b": 7}
-    for away in (found[1], found[3]):
+    polls = [values for _, values in wall.watch(4, every=1, during=during)]
+    assert polls[0] == polls[2] == {"a": 7, "b": 7}
+    for away in (polls[1], polls[3]):
         assert [*away] == ["a", "b"]
         assert all(isinstance(each, ModbusTimeoutError) for each in away.values())
 
 
 def test_a_connection_that_is_lost_is_made_again(wall: Wall) -> None:
-    found = [
+    polls = [
         values for _, values in wall.watch(3, every=1, during=lambda _: wall.device.drop_all())
     ]
-    assert found[0] == {"a": 7, "b": 7}
+    assert polls[0] == {"a": 7, "b": 7}
     assert wall.device.connections > 1
     assert all(
         isinstance(each, ModbusConnectionError | int)
-        for values in found
+        for values in polls
         for each in values.values()
     )
 
@@ -155,8 +155,8 @@ def test_a_point_that_is_refused_leaves_the_others(wall: Wall) -> None:
         ([("holding_registers", 3, 1, "int16")], {}, [[7]]),
     ],
 )
-def test_what_can_be_watched(wall: Wall, what: Any, options: Any, values: Any) -> None:
-    assert [found for _, found in wall.watch(2, every=1, what=what, **options)] == [values] * 2
+def test_maps_plans_and_items_are_watched(wall: Wall, what: Any, options: Any, values: Any) -> None:
+    assert [result for _, result in wall.watch(2, every=1, what=what, **options)] == [values] * 2
 
 
 @each_case(
@@ -179,9 +179,9 @@ def test_arguments_are_checked_at_once(what: Any, options: Any, error: Any, mess
             plc.close()
 
 
-def test_it_ends_when_the_client_is_closed(wall: Wall) -> None:
-    found = wall.watch(9, every=1, during=lambda plc: plc.close())
-    assert len(found) == 1
+def test_a_watch_ends_when_the_client_is_closed(wall: Wall) -> None:
+    polls = wall.watch(9, every=1, during=lambda plc: plc.close())
+    assert len(polls) == 1
     assert wall.watch(9, every=1, during=None)[0][1] == {"a": 7, "b": 7}
 
 
@@ -203,11 +203,11 @@ def test_close_ends_a_wait_in_an_event_loop() -> None:
             await plc.close()
 
         loop = asyncio.get_running_loop()
-        begun, closing = loop.time(), loop.create_task(close())
+        start, closing = loop.time(), loop.create_task(close())
         with pytest.raises(StopAsyncIteration):
             await anext(watching)
         await closing
-        assert loop.time() - begun == pytest.approx(5, abs=0.1)
+        assert loop.time() - start == pytest.approx(5, abs=0.1)
 
     in_a_loop(use, every=100)
 
@@ -215,18 +215,18 @@ def test_close_ends_a_wait_in_an_event_loop() -> None:
 def test_a_wait_that_is_cancelled_can_begin_again() -> None:
     async def use(plc: AsyncClient, watching: Any) -> None:
         loop = asyncio.get_running_loop()
-        begun = loop.time()
+        start = loop.time()
         with pytest.raises(TimeoutError):
             await asyncio.wait_for(anext(watching), 4)
         await anext(watching)
-        assert loop.time() - begun == pytest.approx(10, abs=0.1)
+        assert loop.time() - start == pytest.approx(10, abs=0.1)
         task = loop.create_task(anext(watching))
         await asyncio.sleep(1)
         task.cancel()
         with pytest.raises(asyncio.CancelledError):
             await task
         await anext(watching)
-        assert loop.time() - begun == pytest.approx(20, abs=0.1)
+        assert loop.time() - start == pytest.approx(20, abs=0.1)
 
     in_a_loop(use, every=10)
 
@@ -238,17 +238,17 @@ def url() -> Iterator[str]:
 
 
 def test_other_requests_go_on_until_another_thread_ends_the_wait(url: str) -> None:
-    found: list[Any] = []
+    polls: list[Any] = []
     with Client(url) as plc:
         watching = plc.watch(METER, every=86_400)
         assert next(watching) == {"a": 0, "b": 0}
-        waiting = threading.Thread(target=lambda: found.extend(watching))
-        waiting.start()
+        thread = threading.Thread(target=lambda: polls.extend(watching))
+        thread.start()
         plc.write_register(0, 5)
         assert plc.read_holding_registers(0, 1) == [5]
         plc.close()
-        waiting.join()
-    assert found == []
+        thread.join()
+    assert polls == []
 
 
 def test_ctrl_c_leaves_and_a_signal_handler_may_close(url: str) -> None:
@@ -263,8 +263,8 @@ def test_ctrl_c_leaves_and_a_signal_handler_may_close(url: str) -> None:
 
 
 def test_points_are_asked_at_their_intervals_and_keep_their_values(wall: Wall) -> None:
-    found = values_of(wall.watch(8, what=TOTALS, every=1))
-    assert found == [{"v": 7, "energy": 7, "sf": 7}] * 8
+    polls = values_of(wall.watch(8, what=TOTALS, every=1))
+    assert polls == [{"v": 7, "energy": 7, "sf": 7}] * 8
     assert wall.times_of(0) == [0, 1, 2, 3, 4, 5, 6, 7]
     assert wall.times_of(10) == wall.times_of(20) == [0, 3, 6]
 
@@ -277,6 +277,6 @@ def test_polls_come_at_the_shortest_interval(wall: Wall) -> None:
 
 def test_a_total_that_is_smaller_twice_is_marked_once(wall: Wall) -> None:
     wall.registers[10] = [100, 3, 4, 5]
-    found = values_of(wall.watch(7, what=TOTALS, every=1, names=["v", "energy"]))
-    assert [values["energy"] for values in found] == [100, 100, 100, 4, 4, 4, 5]
-    assert [set(values.fell) for values in found] == [*[set()] * 3, {"energy"}, *[set()] * 3]
+    polls = values_of(wall.watch(7, what=TOTALS, every=1, names=["v", "energy"]))
+    assert [values["energy"] for values in polls] == [100, 100, 100, 4, 4, 4, 5]
+    assert [set(values.fell) for values in polls] == [*[set()] * 3, {"energy"}, *[set()] * 3]

@@ -71,32 +71,32 @@ WRITES: list[tuple[str, tuple[int, ...], dict[str, Any], list[str]]] = [
 ]
 
 
-@each_case(("option", "functions", "values", "expected"), WRITES)
+@each_case(("option", "functions", "values", "requests"), WRITES)
 def test_a_map_is_written_with_the_functions_that_the_device_has(
-    world: World, option: str, functions: tuple[int, ...], values: Any, expected: list[str]
+    world: World, option: str, functions: tuple[int, ...], values: Any, requests: list[str]
 ) -> None:
     peer = world.peer("tcp", knowing(*functions))
     with world.connect(peer.url, write_function=option) as plc:
         plc.write_map(POINTS, values)
-    assert sent(peer) == expected
+    assert sent(peer) == requests
 
 
 @each_case(
-    ("option", "functions", "expected"),
+    ("option", "functions", "requests"),
     [
         ("auto", MULTIPLE, ["1000030002043f800000"]),
         ("multiple", MULTIPLE, ["1000030002043f800000"]),
         ("single", SINGLE, ["0600033f80", "0600040000"]),
     ],
 )
-def test_so_are_values(world: World, option, functions, expected) -> None:
+def test_values_are_written_with_its_functions(world: World, option, functions, requests) -> None:
     peer = world.peer("tcp", knowing(*functions))
     with world.connect(f"{peer.url}?write_function={option}") as plc:
         plc.write_value("holding_registers", 3, 1.0, "float32")
         plc.write_values("holding_registers", 3, [1.0], "float32")
         with pytest.raises(ValueError, match="address"):
             plc.write_value("holding_registers", 65535, 1.0, "float32")
-    assert sent(peer) == 2 * expected
+    assert sent(peer) == 2 * requests
 
 
 def test_what_a_device_refuses_with_both_functions_is_refused(world: World) -> None:
@@ -158,8 +158,8 @@ class WideCount(pdu.Request[bytes]):
 def device(scheme: str, pieces: int = 1) -> Any:
     def on_request(request: bytes, write: Write) -> None:
         text = bytes.fromhex(request[1:-4].decode()) if request.startswith(b":") else request
-        usual, refused = bytes.fromhex(USUAL), bytes.fromhex(REFUSED)
-        body = USUAL_ANSWER if usual in text else REFUSAL if refused in text else ANSWER
+        usual, other = bytes.fromhex(USUAL), bytes.fromhex(REFUSED)
+        body = USUAL_ANSWER if usual in text else REFUSAL if other in text else ANSWER
         if scheme == "tcp":
             frame = mbap(request, bytes.fromhex(body))
         else:
@@ -200,9 +200,9 @@ def check(client: Any) -> None:
 
 
 def test_a_damaged_answer_in_an_own_layout_is_none(connect: Connect) -> None:
-    damaged = rtu("01" + ANSWER)[:-1] + b"\0"
+    frame = rtu("01" + ANSWER)[:-1] + b"\0"
     with (
-        peer_at("rtu", lambda request, write: write(damaged)) as peer,
+        peer_at("rtu", lambda request, write: write(frame)) as peer,
         connect(peer.url, unit=1, timeout=0.2) as client,
         pytest.raises((ModbusTimeoutError, FrameError)),
     ):

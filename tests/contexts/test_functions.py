@@ -74,16 +74,16 @@ def test_contexts_send_and_understand_the_examples_of_the_specification(transpor
             with check:
                 if not 0 < request.unit <= 247 or response.unit != request.unit:
                     continue
-                asked = pdu.decode_request(request.pdu)
-                expected = outcome(lambda: asked.decode_response(response.pdu))  # noqa: B023
+                decoded = pdu.decode_request(request.pdu)
+                result = outcome(lambda: decoded.decode_response(response.pdu))  # noqa: B023
                 context.unit = request.unit
-                ways = [lambda: context.execute(asked)]  # noqa: B023
+                ways = [lambda: context.execute(decoded)]  # noqa: B023
                 if request.function in CALLS:
-                    ways.append(lambda: CALLS[request.function](context, asked))  # noqa: B023
+                    ways.append(lambda: CALLS[request.function](context, decoded))  # noqa: B023
                     asked_by_libmodbus += 1
                 for way in ways:
                     answers.append(response)
-                    assert outcome(way) == expected
+                    assert outcome(way) == result
                     body = peer.requests[-1][7:] if transport == "tcp" else peer.requests[-1]
                     assert body == (request.pdu if transport == "tcp" else request.rtu)
     assert asked_by_libmodbus > 10
@@ -222,13 +222,13 @@ def slave() -> Iterator[int]:
 
 def test_the_random_client_reads_from_the_slave_what_it_has_written() -> None:
     with slave() as port:
-        done = subprocess.run(
+        run = subprocess.run(
             [sys.executable, ROOT / "examples" / "random_client.py", str(port)],
             capture_output=True,
             text=True,
             timeout=60,
         )
-    assert (done.stdout, done.returncode) == ("600 reads, 0 of them wrong\n", 0), done.stderr
+    assert (run.stdout, run.returncode) == ("600 reads, 0 of them wrong\n", 0), run.stderr
 
 
 @pytest.mark.slow
@@ -241,5 +241,5 @@ def test_the_random_client_of_debian_reads_so_too(tmp_path: Path) -> None:
         assert ", 1502)" in text
         copy.write_text(text.replace(", 1502)", f", {port})"), encoding="utf-8")
         client = compile_c(copy, tmp_path / "client")
-        done = subprocess.run([client], capture_output=True, text=True, timeout=60)
-    assert "Test: SUCCESS" in done.stdout
+        process = subprocess.run([client], capture_output=True, text=True, timeout=60)
+    assert "Test: SUCCESS" in process.stdout

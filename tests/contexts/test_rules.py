@@ -57,7 +57,7 @@ def late_sometimes(transport: str, seconds: float) -> OnRequest:
     ],
 )
 def test_no_late_answer_is_taken_for_the_next(transport, timeout, seconds) -> None:
-    right = failed = 0
+    right = failures = 0
     with (
         peer_at(transport, late_sometimes(transport, seconds)) as peer,
         context_at(peer.url, timeout=timeout) as context,
@@ -67,9 +67,9 @@ def test_no_late_answer_is_taken_for_the_next(transport, timeout, seconds) -> No
                 assert context.read_holding_registers(address, 1) == [address]
                 right += 1
             except ModbusError:
-                failed += 1
+                failures += 1
     assert right >= 30
-    assert right + failed == 60
+    assert right + failures == 60
 
 
 def test_after_a_timeout_the_next_call_connects_again() -> None:
@@ -175,7 +175,7 @@ def test_a_host_that_does_not_answer_takes_one_timeout() -> None:
         assert 0.09 < time.monotonic() - start < 5
 
 
-def test_a_name_that_nobody_knows_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unknown_host_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     def unknown(*_: object, **__: object) -> None:
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
@@ -231,7 +231,7 @@ def test_a_closed_context_opens_again_when_it_is_told_to(transport: str) -> None
         assert context.socket == -1
 
 
-def test_garbage_is_closed() -> None:
+def test_a_collected_context_closes_its_connection() -> None:
     with TcpPeer(good) as peer:
         context = context_at(peer.url)
         context.connect()
@@ -386,11 +386,11 @@ print(context.read_holding_registers(9, 1))
 def test_descriptors_of_which_libmodbus_would_die_are_refused(transport: str) -> None:
     with peer_at(transport, good_at(transport)) as peer:
         place = peer.url.rpartition(":")[2] if transport == "tcp" else peer.path  # type: ignore[attr-defined]
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-c", MANY, transport, place], capture_output=True, text=True
         )
-    assert done.returncode == 0, done.stderr
-    first, *refusals, last = done.stdout.splitlines()
+    assert process.returncode == 0, process.stderr
+    first, *refusals, last = process.stdout.splitlines()
     assert first == ("[7] [8]" if transport == "tcp" else "[] []")
     assert last == "[9]"
     assert len(refusals) == 2
@@ -498,7 +498,7 @@ def test_quirks_are_enabled_where_the_library_has_them() -> None:
         context.unit = 251
 
 
-def test_a_process_without_descriptors_is_told_so() -> None:
+def test_a_process_without_descriptors_gets_emfile() -> None:
     source = """
 import resource
 from libmodbus_py import ModbusConnectionError
@@ -511,8 +511,8 @@ try:
 except ModbusConnectionError as error:
     print(error.errno)
 """
-    done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True)
-    assert done.stdout == f"{errno.EMFILE}\n", done.stderr
+    process = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True)
+    assert process.stdout == f"{errno.EMFILE}\n", process.stderr
 
 
 def test_names_of_hosts_are_names() -> None:

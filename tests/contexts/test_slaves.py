@@ -62,11 +62,11 @@ def test_a_slave_on_a_line_finds_requests_between_noise() -> None:
     ):
         for behind, before in itertools.product(noises, noises):
             os.write(master.socket, before + request + behind)
-            received = b""
-            while len(received) < len(answer):
+            data = b""
+            while len(data) < len(answer):
                 assert select.select([master.socket], [], [], 5.0)[0], (before, behind)
-                received += os.read(master.socket, 100)
-            assert received == answer
+                data += os.read(master.socket, 100)
+            assert data == answer
     assert mapping.holding_registers[0] == 7
 
 
@@ -84,10 +84,10 @@ def test_the_client_of_libmodbus_is_content_with_a_slave_by_hand(
     with slave_at(transport, mapping) as url:
         where = [url[6:].partition("?")[0], BAUDRATE] if transport == "rtu" else [url[16:]]
         command = [compiled("client"), transport, *where, UNIT]
-        done = subprocess.run(
+        process = subprocess.run(
             [str(word) for word in command], capture_output=True, text=True, timeout=60
         )
-    lines = done.stdout.splitlines()
+    lines = process.stdout.splitlines()
     assert len(lines) == 21
     # modbus_reply has an identifier of its own.
     (line,) = (line for line in lines if not line.endswith((" ok", " refused")))
@@ -104,19 +104,19 @@ def test_mbpoll_reads_from_a_slave_by_hand(transport: str) -> None:
             path = url[6:].partition("?")[0]
             line = ["-m", "rtu", "-b", str(BAUDRATE), "-P", "even", path]
         options = ["-a", str(UNIT), "-0", "-1", "-o", "5", "-t", "4", "-r", "100", "-c", "3"]
-        done = subprocess.run(
+        process = subprocess.run(
             ["mbpoll", *options, *line], capture_output=True, text=True, timeout=20
         )
     for line_ in ("[100]: \t1100", "[101]: \t1101", "[102]: \t1102"):
-        assert line_ in done.stdout
+        assert line_ in process.stdout
 
 
 @each_transport
 def test_pymodbus_talks_with_a_slave_by_hand(transport: str) -> None:
     mapping = make_device().mapping
     with slave_at(transport, mapping) as url, pymodbus_client(url) as client:
-        asked = client.read_holding_registers(100, count=125, device_id=UNIT)
-        assert asked.registers == cells(holding_register, 100, 125)
+        response = client.read_holding_registers(100, count=125, device_id=UNIT)
+        assert response.registers == cells(holding_register, 100, 125)
         client.write_registers(100, [5, 6], device_id=UNIT)
         assert mapping.holding_registers[100:103] == [5, 6, 1102]
         assert client.read_coils(5000, count=1, device_id=UNIT).exception_code == 2
@@ -190,16 +190,16 @@ def test_a_slave_chooses_what_it_answers() -> None:
 
 def test_a_slave_on_a_line_hears_others_and_answers_what_is_its_own() -> None:
     mapping = Mapping(holding_registers=10)
-    seen: list[bytes | None] = []
+    requests: list[bytes | None] = []
     with peer_at("rtu", lambda request, write: None) as line:
         slave = context_at(line.url)
         slave.connect()
 
         def run() -> None:
-            while len(seen) < 5:
+            while len(requests) < 5:
                 with contextlib.suppress(FrameError):
                     request = slave.receive()
-                    seen.append(request)
+                    requests.append(request)
                     if request:
                         slave.reply(request, mapping)
 
@@ -213,13 +213,13 @@ def test_a_slave_on_a_line_hears_others_and_answers_what_is_its_own() -> None:
             rtu("00 06 0002 0009"),  # a broadcast
             ours,
         ):
-            before = len(seen)
+            before = len(requests)
             line.write(frame)  # type: ignore[attr-defined]
-            until(lambda: len(seen) > before)  # noqa: B023
+            until(lambda: len(requests) > before)  # noqa: B023
         thread.join()
         slave.close()
         until(lambda: b"".join(line.requests) == 2 * ours)
-    assert seen == [None, ours, None, rtu("00 06 0002 0009"), ours]
+    assert requests == [None, ours, None, rtu("00 06 0002 0009"), ours]
     assert mapping.holding_registers[:4] == [0, 7, 9, 0]
 
 

@@ -119,8 +119,8 @@ class UnitTestSlave:
 
 
 def lines_of(client: Path, kind: str) -> list[str]:
-    done = subprocess.run([client, kind], capture_output=True, timeout=120)
-    return done.stdout.decode("latin-1").splitlines()
+    process = subprocess.run([client, kind], capture_output=True, timeout=120)
+    return process.stdout.decode("latin-1").splitlines()
 
 
 def passed(lines: list[str]) -> int:
@@ -183,7 +183,7 @@ def unit_test_server(kind: str, peer: str) -> Iterator[dict[str, str]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tcp", "tcppi", "rtu"])
 @pytest.mark.parametrize("peer", ["slave", "server"])
-def test_the_client_passes(kind: str, peer: str, tmp_path: Path) -> None:
+def test_the_unit_test_client_of_libmodbus_passes(kind: str, peer: str, tmp_path: Path) -> None:
     with unit_test_server(kind, peer) as changes:
         client = adapted("unit-test-client", tmp_path, LONGER_WAITS | changes)
         lines = lines_of(client, kind)
@@ -219,10 +219,10 @@ Asking = AnyContext | Client
 @contextlib.contextmanager
 def asking(server: Path, transport: str, face: str = "context", **options: Any) -> Iterator[Any]:
     """Run the server, which ends with its first connection, and yield who asks it."""
-    chosen = {"unit": UNIT, "timeout": 2.0, **options}
+    settings = {"unit": UNIT, "timeout": 2.0, **options}
 
     def asker(url: str) -> contextlib.AbstractContextManager[Asking]:
-        return Client(url, **chosen) if face == "client" else context_at(url, **chosen)
+        return Client(url, **settings) if face == "client" else context_at(url, **settings)
 
     if transport == "tcp":
         with subprocess.Popen(

@@ -43,10 +43,10 @@ class Model:
         self.need(len(body) == 4, 3)
         start, count = struct.unpack(">HH", body)
         self.need(1 <= count <= 2000, 3)
-        packed = bytearray(-(-count // 8))
+        bits = bytearray(-(-count // 8))
         for at, cell in enumerate(self.cells(table, start, count)):
-            packed[at // 8] |= table[cell] << at % 8
-        return bytes([len(packed)]) + packed
+            bits[at // 8] |= table[cell] << at % 8
+        return bytes([len(bits)]) + bits
 
     def function_1(self, body: bytes) -> bytes:
         return self.read_bits(self.bits[1], body)
@@ -113,9 +113,9 @@ class Model:
 
     def function_23(self, body: bytes) -> bytes:
         self.need(len(body) >= 9, 3)
-        start, count, to, written, size = struct.unpack(">HHHHB", body[:9])
-        self.need(1 <= count <= 125 and 1 <= written <= 121, 3)
-        self.need(size == 2 * written == len(body) - 9, 3)
+        start, count, to, quantity, size = struct.unpack(">HHHHB", body[:9])
+        self.need(1 <= count <= 125 and 1 <= quantity <= 121, 3)
+        self.need(size == 2 * quantity == len(body) - 9, 3)
         self.cells(self.words[3], start, count)
         self.write_words(to, body[9:])
         return self.read_words(self.words[3], start, count)

@@ -100,7 +100,7 @@ class Recorder:
 
 
 class TestHooks:
-    def test_every_function_stands_in_one_of_the_lists(self) -> None:
+    def test_every_function_has_its_accesses(self) -> None:
         touching = {type(request) for request, *_ in TOUCHES}
         untouching = {type(request) for request in UNTOUCHING}
         assert touching | untouching == {*pdu.REQUESTS.values(), pdu.ReadDeviceIdentification}
@@ -108,7 +108,7 @@ class TestHooks:
         assert {type(request) for request in BEYOND} == touching
 
     @each_case(("request_", "writes", "reads"), TOUCHES, ids=id_of)
-    def test_hooks_are_told_what_is_touched_in_order(self, request_, writes, reads) -> None:
+    def test_hooks_get_the_accesses_in_order(self, request_, writes, reads) -> None:
         recorder = Recorder()
         plain = hooked_device()
         before = contents(plain)
@@ -127,7 +127,7 @@ class TestHooks:
             assert len(access.values) == (0 if name == "before_read" else access.count)
 
     @each_case("request_", UNTOUCHING, ids=id_of)
-    def test_hooks_are_not_told_of_what_touches_nothing(self, request_: pdu.Request[Any]) -> None:
+    def test_hooks_are_not_called_without_an_access(self, request_: pdu.Request[Any]) -> None:
         recorder = Recorder()
         assert not recorder.device.answer(request_.encode(), CALLER)[0] & 0x80
         assert recorder.calls == []
@@ -168,20 +168,20 @@ class TestHooks:
     def test_before_write_refuses_and_nothing_changes(self, request_, code, caplog) -> None:
         caplog.clear()
         refusal = errors.ExceptionResponse.of(code)
-        told: list[Access] = []
+        accesses: list[Access] = []
 
         def refuse(access: Access) -> None:
             # By the class where there is one, as an application would.
             raise refusal if type(refusal) is errors.ExceptionResponse else type(refusal)
 
         device = hooked_device(
-            before_write=refuse, before_read=told.append, after_write=told.append
+            before_write=refuse, before_read=accesses.append, after_write=accesses.append
         )
         before = contents(device)
         answer = device.answer(request_.encode(), CALLER)
         assert answer == bytes([request_.function | 0x80, code])
         assert contents(device) == before
-        assert told == []
+        assert accesses == []
         assert caplog.records == []
 
     @each_case("request_", READS, ids=id_of)

@@ -75,7 +75,7 @@ def test_the_diagnostic_register_is_a_register(value: Any) -> None:
 
 @pytest.mark.parametrize("name", ["handlers", "identification"])
 @pytest.mark.parametrize("value", [5, "abc", [1]])
-def test_what_must_be_a_mapping_is_named(name: str, value: Any) -> None:
+def test_options_that_are_no_mapping_are_named(name: str, value: Any) -> None:
     with pytest.raises(TypeError, match=rf"^{name} must be \{{.*\}}, not "):
         Device(Mapping(), **{name: value})
 
@@ -101,7 +101,7 @@ def test_an_argument_that_is_no_attribute_cannot_be_set(name: str) -> None:
     ],
     ids=lambda value: value if isinstance(value, str) else type(value).__name__,
 )
-def test_what_others_rely_on_is_read_only(owner: object, name: str) -> None:
+def test_attributes_that_are_derived_are_read_only(owner: object, name: str) -> None:
     with pytest.raises(AttributeError, match=name):
         setattr(owner, name, getattr(owner, name))
 
@@ -132,7 +132,7 @@ def test_records_and_queues_are_checked_one_by_one() -> None:
     assert {number: list(file) for number, file in device.files.items()} == {4: [0, 0]}
 
 
-def test_what_is_set_is_answered() -> None:
+def test_values_set_in_attributes_are_answered() -> None:
     device = Device(Mapping(holding_registers=1))
     file = RecordFile({2: 7})
     device.files = {4: file}  # type: ignore[assignment]

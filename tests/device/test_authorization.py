@@ -43,9 +43,9 @@ class Tables:
         return [bytes(table.view) for table in tables], files, device.diagnostic_register
 
 
-def denying(seen: list[Asked]) -> Any:
+def denying(requests: list[Asked]) -> Any:
     def authorize(asked: Asked) -> bool:
-        seen.append(asked)
+        requests.append(asked)
         return False
 
     return authorize
@@ -59,8 +59,8 @@ def test_there_is_an_example_of_each_class() -> None:
 @each_case("request_", REQUEST_OBJECTS, ids=lambda each: type(each).__name__)
 @each_case("serial", [False, True], ids=["network", "serial line"])
 def test_what_is_denied_is_not_executed(request_: pdu.Request[Any], serial: bool) -> None:
-    seen: list[Asked] = []
-    tables = Tables(denying(seen))
+    requests: list[Asked] = []
+    tables = Tables(denying(requests))
     log = EventLog(is_serial=serial)
     before = tables.contents()
     answer = tables.device.answer(request_.encode(), Caller(7, "here", log, role="Nobody"))
@@ -68,7 +68,7 @@ def test_what_is_denied_is_not_executed(request_: pdu.Request[Any], serial: bool
     assert tables.done == []
     assert tables.contents() == before
     assert log.listen_only is False
-    (asked,) = seen
+    (asked,) = requests
     assert (asked.role, asked.unit, asked.peer) == ("Nobody", 7, "here")
     assert asked.function == request_.function
     assert asked.request == (None if isinstance(request_, pdu.RawRequest) else request_)
@@ -85,11 +85,11 @@ def test_what_is_allowed_is_answered_as_ever(example: bytes) -> None:
 @settings(max_examples=100)
 @given(st.binary(min_size=1, max_size=253))
 def test_any_bytes_are_asked_about_once(data: bytes) -> None:
-    seen: list[Asked] = []
-    answer = TABLES.answered(data, denying(seen))
+    requests: list[Asked] = []
+    answer = TABLES.answered(data, denying(requests))
     is_request = data[0] < 0x80
     assert answer == (bytes([data[0] | 0x80, 1]) if is_request else b"")
-    assert len(seen) == is_request
+    assert len(requests) == is_request
 
 
 class _Shared:
@@ -109,39 +109,39 @@ TABLES = _Shared()
 
 def test_all_128_codes_are_asked_about() -> None:
     for function in range(128):
-        seen: list[Asked] = []
-        assert TABLES.answered(bytes([function]), denying(seen)) == bytes([function | 0x80, 1])
-        assert [(asked.function, asked.request) for asked in seen if asked.request is None] in (
+        requests: list[Asked] = []
+        assert TABLES.answered(bytes([function]), denying(requests)) == bytes([function | 0x80, 1])
+        assert [(asked.function, asked.request) for asked in requests if asked.request is None] in (
             [(function, None)],
             [],  # functions that are asked with their code alone
         )
-        assert len(seen) == 1
+        assert len(requests) == 1
 
 
-def test_it_is_told_what_a_request_touches_as_hooks_are() -> None:
-    seen: list[Asked] = []
+def test_authorize_gets_the_reads_and_writes_of_a_request() -> None:
+    calls: list[Asked] = []
     caller = Caller(7, "here", role="Operator")
-    Tables(denying(seen)).device.answer(pdu.ReadWriteRegisters(1, 2, 3, (4, 5)).encode(), caller)
+    Tables(denying(calls)).device.answer(pdu.ReadWriteRegisters(1, 2, 3, (4, 5)).encode(), caller)
     who = 0, 7, "here", "Operator"
-    assert seen[0].writes == (Access("holding_registers", 3, 2, (4, 5), *who),)
-    assert seen[0].reads == (Access("holding_registers", 1, 2, (), *who),)
+    assert calls[0].writes == (Access("holding_registers", 3, 2, (4, 5), *who),)
+    assert calls[0].reads == (Access("holding_registers", 1, 2, (), *who),)
 
 
-def test_handlers_are_asked_about() -> None:
-    done: list[object] = []
+def test_authorize_is_called_before_handlers() -> None:
+    requests: list[object] = []
 
     def handle(request: pdu.ReadCoils) -> list[bool]:
-        done.append(request)
+        requests.append(request)
         return [True]
 
-    for allowed in (False, True):
-        guard = {"authorize": lambda asked, it=allowed: it}
+    for is_allowed in (False, True):
+        guard = {"authorize": lambda asked, it=is_allowed: it}
         device = Device(Mapping(1), handlers={pdu.ReadCoils: handle}, **guard)  # type: ignore[arg-type]
-        assert device.answer(b"\1\0\0\0\1") == (b"\1\1\1" if allowed else b"\x81\1")
-        assert len(done) == allowed
+        assert device.answer(b"\1\0\0\0\1") == (b"\1\1\1" if is_allowed else b"\x81\1")
+        assert len(requests) == is_allowed
 
 
-def test_it_is_asked_each_time() -> None:
+def test_authorize_is_called_for_each_request() -> None:
     answers = iter([True, False, True])
     device = Device(Mapping(holding_registers=1), authorize=lambda asked: next(answers))
     request = pdu.ReadHoldingRegisters(0, 1).encode()
@@ -163,20 +163,20 @@ def test_it_is_asked_each_time() -> None:
         (b"\x08\x00\x02\x00\x01", 3),
     ],
 )
-def test_who_may_not_learns_nothing(data: bytes, otherwise: int) -> None:
-    hooked: list[object] = []
-    for allowed, code in ((True, otherwise), (False, 1)):
+def test_without_permission_every_bad_request_is_answered_1(data: bytes, otherwise: int) -> None:
+    accesses: list[object] = []
+    for is_allowed, code in ((True, otherwise), (False, 1)):
         device = Device(
             Mapping(holding_registers=10, coils=1),
-            before_read=hooked.append,
-            before_write=hooked.append,
-            authorize=lambda asked, it=allowed: it,
+            before_read=accesses.append,
+            before_write=accesses.append,
+            authorize=lambda asked, it=is_allowed: it,
         )
         assert device.answer(data) == bytes([data[0] | 0x80, code])
-    assert hooked == []
+    assert accesses == []
 
 
-def test_hooks_come_after_it() -> None:
+def test_authorize_is_called_before_hooks() -> None:
     order: list[str] = []
 
     def authorize(asked: Asked) -> bool:
@@ -193,13 +193,13 @@ def test_hooks_come_after_it() -> None:
 
 
 def test_broadcasts_are_asked_about() -> None:
-    refused: list[int] = []
-    for allowed in (False, True):
-        device = Device(Mapping(coils=1), authorize=lambda asked, it=allowed: it)
-        caller = Caller(0, "line", is_broadcast=True, on_unauthorized=lambda _: refused.append(1))
+    calls: list[int] = []
+    for is_allowed in (False, True):
+        device = Device(Mapping(coils=1), authorize=lambda asked, it=is_allowed: it)
+        caller = Caller(0, "line", is_broadcast=True, on_unauthorized=lambda _: calls.append(1))
         assert device.answer(pdu.WriteCoil(0, True).encode(), caller) == b""
-        assert device.mapping.coils[0] == allowed
-    assert refused == [1]
+        assert device.mapping.coils[0] == is_allowed
+    assert calls == [1]
 
 
 def test_a_restart_and_silence_that_are_denied_do_not_happen() -> None:
@@ -210,23 +210,23 @@ def test_a_restart_and_silence_that_are_denied_do_not_happen() -> None:
     assert not log.listen_only
     assert log.counter(pdu.SubFunction.BUS_EXCEPTION_ERROR_COUNT) == 2
 
-    allowed = Device(Mapping(1), authorize=lambda asked: asked.role == "Engineer")
-    allowed.answer(b"\x08\x00\x04\x00\x00", Caller(log=log, role="Engineer"))
+    engineered = Device(Mapping(1), authorize=lambda asked: asked.role == "Engineer")
+    engineered.answer(b"\x08\x00\x04\x00\x00", Caller(log=log, role="Engineer"))
     assert log.listen_only
-    allowed.answer(b"\x08\x00\x01\x00\x00", Caller(log=log))
+    engineered.answer(b"\x08\x00\x01\x00\x00", Caller(log=log))
     assert log.listen_only
 
 
-def test_who_was_refused_is_told() -> None:
-    refused: list[int] = []
+def test_on_unauthorized_is_called_for_requests_without_permission_alone() -> None:
+    calls: list[int] = []
     device = Device(Mapping(1), authorize=lambda asked: asked.function == 1)
-    caller = Caller(on_unauthorized=lambda _: refused.append(1))
+    caller = Caller(on_unauthorized=lambda _: calls.append(1))
     device.answer(pdu.ReadCoils(0, 1).encode(), caller)
     device.answer(pdu.ReadCoils(9, 1).encode(), caller)  # refused, but not by authorisation
-    assert refused == []
+    assert calls == []
     device.answer(pdu.WriteCoil(0, True).encode(), caller)
     device.answer(b"\x05", caller)
-    assert refused == [1, 1]
+    assert calls == [1, 1]
 
 
 async def forgotten(asked: Asked) -> bool:
@@ -254,7 +254,7 @@ def test_a_mistake_opens_no_door(authorize: Any, caplog: pytest.LogCaptureFixtur
     assert len(caplog.records) == 1
 
 
-def test_it_may_refuse_with_another_exception() -> None:
+def test_authorize_may_refuse_with_another_exception() -> None:
     def authorize(asked: Asked) -> bool:
         raise ServerDeviceBusy
 

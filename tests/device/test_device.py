@@ -19,10 +19,10 @@ class TestWorkedExamples:
     )
     def test_answer_is_that_of_the_example(self, vector: FrameVector) -> None:
         """On a device that holds what the example's response says."""
-        (asked,) = (each for each in REQUESTS if each.id == vector.request)
+        (request,) = (each for each in REQUESTS if each.id == vector.request)
         mapping = Mapping(*[65536] * 4)
         device = Device(mapping, files={3: range(20), 4: range(20)})
-        fields = asked.fields
+        fields = request.fields
         start = fields.get("address", fields.get("read_address"))
         values = vector.fields.get("values")
         tables = {
@@ -35,17 +35,17 @@ class TestWorkedExamples:
         if vector.function in tables:
             tables[vector.function][start : start + len(values)] = values
         if vector.function == 20:
-            for wanted, piece in zip(
+            for record, piece in zip(
                 fields["sub_requests"], vector.fields["sub_responses"], strict=True
             ):
                 for at, value in enumerate(piece["values"]):
-                    device.files[wanted["file"]][wanted["record"] + at] = value
-        assert device.answer(asked.pdu) == vector.pdu
+                    device.files[record["file"]][record["record"] + at] = value
+        assert device.answer(request.pdu) == vector.pdu
 
     @pytest.mark.parametrize("vector", rows([each for each in EXCEPTIONS if each.request]))
     def test_refusal_is_that_of_the_example(self, vector: FrameVector) -> None:
-        (asked,) = (each for each in REQUESTS if each.id == vector.request)
-        assert Device(Mapping(0, 0, 2048, 0)).answer(asked.pdu) == vector.pdu
+        (request,) = (each for each in REQUESTS if each.id == vector.request)
+        assert Device(Mapping(0, 0, 2048, 0)).answer(request.pdu) == vector.pdu
 
 
 class TestExceptions:
@@ -98,7 +98,7 @@ class TestExceptions:
         ],
         ids=lambda value: value.hex() if isinstance(value, bytes) else str(value),
     )
-    def test_order_of_checks(self, request_pdu: bytes, code: int) -> None:
+    def test_requests_are_checked_in_this_order(self, request_pdu: bytes, code: int) -> None:
         device = new_device()
         before = contents(device)
         assert device.answer(request_pdu) == bytes([request_pdu[0] | 0x80, code])
@@ -114,8 +114,8 @@ class TestBroadcasts:
         assert device.mapping.holding_registers[100] == 7
 
     def test_everything_else_is_ignored(self) -> None:
-        seen: list[Access] = []
-        device = Device(Mapping(holding_registers=4), before_read=seen.append)
+        accesses: list[Access] = []
+        device = Device(Mapping(holding_registers=4), before_read=accesses.append)
         line = EventLog(is_serial=True)
         line.delimiter = 0x24
         caller = Caller(0, "", line, is_broadcast=True)
@@ -128,7 +128,7 @@ class TestBroadcasts:
         )
         for body in (*bodies, b"\x17" + words(0, 1, 0, 1) + b"\2" + words(9)):
             assert device.answer(body, caller) == b""
-        assert seen == []
+        assert accesses == []
         assert not line.listen_only
         assert line.delimiter == 0x24  # no restart
         assert device.mapping.holding_registers[0] == 0
@@ -151,16 +151,16 @@ class TestTwoDevices:
         assert Device(Mapping()).answer(page(4))[3] == 0x81
 
     def test_files_and_queues(self) -> None:
-        shared: dict[int, list[int]] = {1: [0, 0]}
-        first = Device(Mapping(), files=shared, fifos=shared)
-        second = Device(Mapping(), files=shared, fifos=shared)
+        files: dict[int, list[int]] = {1: [0, 0]}
+        first = Device(Mapping(), files=files, fifos=files)
+        second = Device(Mapping(), files=files, fifos=files)
         request = pdu.WriteFileRecords([(1, 0, [5, 6])]).encode()
         assert first.answer(request) == request
         first.fifos[1].append(9)
         first.fifos[2] = []
         assert list(second.files[1]) == [0, 0]
         assert second.fifos == {1: [0, 0]}
-        assert shared == {1: [0, 0]}
+        assert files == {1: [0, 0]}
         third, fourth = Device(Mapping()), Device(Mapping())
         third.fifos[1] = [1]
         third.files[1] = RecordFile([1])

@@ -13,8 +13,8 @@ from tests.support.vectors import REQUESTS, RESPONSES
 
 
 def vector(name: str) -> bytes:
-    (found,) = (each.pdu for each in REQUESTS + RESPONSES if each.id == name)
-    return found
+    (body,) = (each.pdu for each in REQUESTS + RESPONSES if each.id == name)
+    return body
 
 
 class TestStatusAndIdentifier:
@@ -140,7 +140,7 @@ class TestDiagnostics:
         assert device.answer(b"\x03" + words(100, 1)) == b"\x03\2\0\0"
 
     @pytest.mark.parametrize("sub_function", [1, 4])
-    def test_nobody_is_silenced_over_tcp(self, sub_function: int) -> None:
+    def test_listen_only_is_refused_over_tcp(self, sub_function: int) -> None:
         for data in (b"\0\0", b"\xff\0", b"\0\1"):
             for caller in (Caller(), caller_on(serial=False)):
                 device = new_device()

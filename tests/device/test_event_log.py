@@ -81,17 +81,17 @@ def counters(context: Client) -> dict[str, int]:
 
 
 def frame(context: Client, unit: int, body: bytes) -> bytes:
-    made = framing.make_framer(parse(context.url).framing, "client")
-    return made.encode(framing.Frame(unit, body))
+    framer = framing.make_framer(parse(context.url).framing, "client")
+    return framer.encode(framing.Frame(unit, body))
 
 
 def spoilt_frame(context: Client) -> bytes:
-    spoilt = bytearray(frame(context, 1, pdu.ReadCoils(0, 1).encode()))
-    spoilt[3] ^= 1
-    return bytes(spoilt)
+    frame_ = bytearray(frame(context, 1, pdu.ReadCoils(0, 1).encode()))
+    frame_[3] ^= 1
+    return bytes(frame_)
 
 
-def test_every_counter_counts_what_it_should(line: Client) -> None:
+def test_every_counter_counts_its_events(line: Client) -> None:
     line.diagnostics(SubFunction.CLEAR_COUNTERS)
     # A request and its answer are one message: the answer is this device's own.
     line.read_holding_registers(0, 1)
@@ -183,10 +183,10 @@ def test_broadcasts_of_what_is_no_write_do_nothing_but_count(stage: Stage, line:
     for body in (b"\x03\0\0\0\1", b"\x08\0\4\0\0", b"\x08\0\1\0\0", b"\x41", b"\x18\0\0"):
         send(line, frame(line, 0, body))
         stage.pass_time(0.05)  # more than the silence between two frames
-    found = counters(line)
-    assert found["messages"] == 1 + 5
-    assert found["unanswered"] == 5
-    assert found["exceptions"] == 0
+    counts = counters(line)
+    assert counts["messages"] == 1 + 5
+    assert counts["unanswered"] == 5
+    assert counts["exceptions"] == 0
 
 
 @ascii_only

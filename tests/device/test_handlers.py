@@ -57,17 +57,17 @@ class TestHandlers:
             assert device.answer(b"\x41\0") == b"\xc1\4"
         assert len(caplog.records) == 1
 
-    def test_hooks_do_not_see_it(self) -> None:
-        seen: list[Access] = []
+    def test_hooks_are_not_called_for_a_handled_request(self) -> None:
+        accesses: list[Access] = []
         device = Device(
             Mapping(),
             handlers={Doubled: lambda request: [1]},
-            before_read=seen.append,
-            before_write=seen.append,
-            after_write=seen.append,
+            before_read=accesses.append,
+            before_write=accesses.append,
+            after_write=accesses.append,
         )
         assert device.answer(b"\x41\0") == b"\x41\2\0\1"
-        assert seen == []
+        assert accesses == []
 
     @each_case(
         "bad",

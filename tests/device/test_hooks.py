@@ -33,8 +33,8 @@ KINDS: dict[str, bytes] = {
 
 
 def made_device(kind: str, call: Callable[[Any], Any]) -> Device:
-    given = {pdu.ReadCoils: call} if kind == "handlers" else call
-    return Device(Mapping(coils=1, holding_registers=1), **{kind: given})
+    hook = {pdu.ReadCoils: call} if kind == "handlers" else call
+    return Device(Mapping(coils=1, holding_registers=1), **{kind: hook})
 
 
 def raising(make: Callable[[], BaseException]) -> Callable[[Any], Any]:
@@ -48,11 +48,11 @@ def raising(make: Callable[[], BaseException]) -> Callable[[Any], Any]:
 
 def is_free(device: Device) -> bool:
     """Return True if another thread gets the lock of the mapping."""
-    got: list[bool] = []
-    thread = threading.Thread(target=lambda: got.append(device.mapping.lock.acquire(timeout=5)))
+    results: list[bool] = []
+    thread = threading.Thread(target=lambda: results.append(device.mapping.lock.acquire(timeout=5)))
     thread.start()
     thread.join()
-    return got == [True]
+    return results == [True]
 
 
 class Unusual(BaseException):
@@ -71,7 +71,7 @@ class Unusual(BaseException):
         *[lambda code=code: errors.ExceptionResponse(code=code) for code in NO_CODES],
     ],
 )
-def test_whatever_they_raise_is_answered_4_and_logged_once(kind, make, caplog) -> None:
+def test_errors_of_hooks_and_handlers_are_answered_4_and_logged_once(kind, make, caplog) -> None:
     caplog.clear()
     device = made_device(kind, raising(make))
     request = KINDS[kind]
@@ -86,7 +86,7 @@ def test_whatever_they_raise_is_answered_4_and_logged_once(kind, make, caplog) -
 
 @each_case("kind", KINDS)
 @each_case("error", [SystemExit, KeyboardInterrupt])
-def test_what_ends_a_process_goes_on(kind, error, caplog) -> None:
+def test_errors_that_end_a_process_pass_through_hooks(kind, error, caplog) -> None:
     caplog.clear()
     device = made_device(kind, raising(error))
     with pytest.raises(error):
@@ -104,22 +104,22 @@ def test_a_handler_whose_class_encodes_no_bytes_is_a_failure(result, caplog, mon
 
 
 @pytest.mark.parametrize("error", [asyncio.CancelledError, GeneratorExit, Unusual])
-def test_nobody_loses_a_request_of_the_same_turn(error, caplog) -> None:
+def test_a_failing_hook_costs_no_other_request(error, caplog) -> None:
     """Neither who sent it nor others, whose requests came alone and are answered together."""
     server = Server(made_device("before_write", raising(error)))
-    ok, failed = b"\3\2\0\0", b"\x86\4"
-    asked = [READ, WRITE, READ]
-    answers = b"".join(adu(body, at) for at, body in enumerate([ok, failed, ok]))
+    ok, failure = b"\3\2\0\0", b"\x86\4"
+    requests = [READ, WRITE, READ]
+    answers = b"".join(adu(body, at) for at, body in enumerate([ok, failure, ok]))
     with server.background("tcp://127.0.0.1:0") as running:
         port = int(running.urls[0].rpartition(":")[2])
         peers = [socket.create_connection(("127.0.0.1", port), timeout=20) for _ in range(8)]
         for turn in range(20):
             for peer in peers:
-                peer.sendall(adu(asked[turn % 3], turn))
+                peer.sendall(adu(requests[turn % 3], turn))
             for peer in peers:
-                expected = adu([ok, failed, ok][turn % 3], turn)
-                assert receive(peer, len(expected)) == expected
-        peers[0].sendall(b"".join(adu(body, at) for at, body in enumerate(asked)))
+                response = adu([ok, failure, ok][turn % 3], turn)
+                assert receive(peer, len(response)) == response
+        peers[0].sendall(b"".join(adu(body, at) for at, body in enumerate(requests)))
         assert receive(peers[0], len(answers)) == answers
         for peer in peers:
             peer.close()
@@ -127,10 +127,10 @@ def test_nobody_loses_a_request_of_the_same_turn(error, caplog) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_slow_one_is_told_of_once_for_each_device(kind, caplog, monkeypatch) -> None:
+def test_a_slow_hook_is_logged_once_for_each_device(kind, caplog, monkeypatch) -> None:
     monkeypatch.setattr(hooks_module, "SLOW", 0.01)
 
-    def dawdle(given: Any) -> Any:
+    def dawdle(argument: Any) -> Any:
         time.sleep(0.02)
         return b"" if kind == "canopen" else [False]
 
@@ -146,7 +146,7 @@ def test_a_slow_one_is_told_of_once_for_each_device(kind, caplog, monkeypatch) -
     assert any(0.02 <= float(word) < 60 for word in message.split() if word[0].isdigit())
 
 
-def test_what_no_hook_can_be_is_refused_by_name(refused: Refused) -> None:
+def test_wrong_arguments_of_hooks_are_refused_by_name(refused: Refused) -> None:
     refused("wrong_hooks.txt", lambda places: Hook(**{"call": print, **places}))
     with pytest.raises(TypeError, match="call must be a function"):
         Hook(Hook(print))  # type: ignore[arg-type]
@@ -163,7 +163,7 @@ def test_ranges_may_overlap_and_touch_in_any_order() -> None:
     assert hook.places == {"coils": (range(5), range(9, 13))}
 
 
-def test_a_slow_hook_with_places_is_told_of_even_if_it_fails(caplog, monkeypatch) -> None:
+def test_a_slow_hook_with_places_is_logged_even_if_it_fails(caplog, monkeypatch) -> None:
     monkeypatch.setattr(hooks_module, "SLOW", 0)
     hook = Hook(raising(errors.IllegalDataAddress), holding_registers=range(1))
     device = Device(Mapping(holding_registers=2), before_read=hook)
@@ -173,22 +173,22 @@ def test_a_slow_hook_with_places_is_told_of_even_if_it_fails(caplog, monkeypatch
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
 
 
-def test_all_that_a_read_touches_is_given() -> None:
+def test_a_hook_gets_the_whole_range_of_a_read() -> None:
     """Not only what the hook asked for: it can refresh, or refuse, the whole."""
-    seen: list[Access] = []
-    hook = Hook(seen.append, holding_registers=range(5, 6))
+    accesses: list[Access] = []
+    hook = Hook(accesses.append, holding_registers=range(5, 6))
     device = Device(Mapping(holding_registers=20), before_read=hook)
     device.answer(b"\3\0\0\0\x14")
     device.answer(b"\3\0\6\0\4")
-    assert [(access.address, access.count) for access in seen] == [(0, 20)]
+    assert [(access.address, access.count) for access in accesses] == [(0, 20)]
 
 
-def test_who_looks_from_inside_has_values_computed() -> None:
+def test_refresh_calls_before_read_of_the_hook() -> None:
     mapping = Mapping(holding_registers=8, input_registers=8)
-    seen: list[Access] = []
+    accesses: list[Access] = []
 
     def compute(access: Access) -> None:
-        seen.append(access)
+        accesses.append(access)
         mapping.input_registers[access.address] = 7
 
     device = Device(mapping, before_read=Hook(compute, input_registers=range(4)))
@@ -196,7 +196,7 @@ def test_who_looks_from_inside_has_values_computed() -> None:
     device.refresh("holding_registers", 2, 3)
     device.refresh("input_registers", 4, 3)
     assert mapping.input_registers[:] == [0, 0, 7, 0, 0, 0, 0, 0]
-    assert seen == [Access("input_registers", 2, 3)]
+    assert accesses == [Access("input_registers", 2, 3)]
     Device(mapping).refresh("coils", 0, 1)
 
 

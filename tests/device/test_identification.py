@@ -31,22 +31,22 @@ class TestIdentification:
 
     def test_every_device_has_the_mandatory_objects(self) -> None:
         for device in (Device(Mapping()), Device(Mapping(), identification={})):
-            found, sizes = identified(device, "extended")
-            assert list(found.objects) == [0, 1, 2]
-            assert all(found.objects.values())
-            assert found.conformity == 0x81
+            identification, sizes = identified(device, "extended")
+            assert list(identification.objects) == [0, 1, 2]
+            assert all(identification.objects.values())
+            assert identification.conformity == 0x81
             assert len(sizes) == 1
 
     def test_stream_of_large_objects_takes_several_pages(self) -> None:
         device = Device(Mapping(), identification=IDENTITY)
-        expected = {
+        objects = {
             number: value if isinstance(value, bytes) else value.encode()
             for number, value in zip(IDENTITY_NUMBERS, IDENTITY.values(), strict=True)
         }
         for level, count, pages in (("basic", 3, 2), ("regular", 5, 4), ("extended", 8, 7)):
-            found, sizes = identified(device, level)
-            assert list(found.objects.items()) == list(expected.items())[:count]
-            assert found.conformity == 0x83
+            identification, sizes = identified(device, level)
+            assert list(identification.objects.items()) == list(objects.items())[:count]
+            assert identification.conformity == 0x83
             assert len(sizes) == pages
             assert max(sizes) == 253
             assert sizes[0] == 253
@@ -89,21 +89,21 @@ class TestIdentification:
 
 
 class TestCanopen:
-    def test_without_a_function_it_is_illegal(self) -> None:
+    def test_canopen_without_a_function_is_illegal(self) -> None:
         for body in (b"", b"\1\2\3"):
             assert new_device().answer(b"\x2b\x0d" + body) == b"\xab\1"
 
     def test_data_go_through_both_ways(self) -> None:
-        given: list[bytes] = []
+        data_: list[bytes] = []
 
         def bus(data: bytes) -> bytes:
-            given.append(data)
+            data_.append(data)
             return data[::-1]
 
         device = Device(Mapping(), canopen=bus)
         for data in (b"", b"\1\2\3", bytes(range(251))):
             assert device.answer(b"\x2b\x0d" + data) == b"\x2b\x0d" + data[::-1]
-        assert given == [b"", b"\1\2\3", bytes(range(251))]
+        assert data_ == [b"", b"\1\2\3", bytes(range(251))]
 
     def test_function_may_refuse(self) -> None:
         def bus(data: bytes) -> bytes:

@@ -42,11 +42,11 @@ class TestArguments:
         ],
     )
     def test_count_or_range_gives_the_addresses(self, name: str, given_addresses, addresses):
-        made = table(name, given_addresses)
-        assert made.addresses == addresses
-        assert made.name == name
-        assert len(made) == len(addresses)
-        assert made[:] == [0] * len(addresses)
+        cells = table(name, given_addresses)
+        assert cells.addresses == addresses
+        assert cells.name == name
+        assert len(cells) == len(addresses)
+        assert cells[:] == [0] * len(addresses)
 
     def test_tables_are_apart(self) -> None:
         mapping = Mapping(8, 8, 8, 8)
@@ -71,20 +71,20 @@ HOLES = [range(100, 110), range(120, 121), range(110, 112), range(300, 310)]
 class TestHoles:
     @each_table
     def test_what_lies_between_the_ranges_does_not_exist(self, name: str) -> None:
-        made = table(name, HOLES)
-        assert made.ranges == (range(100, 112), range(120, 121), range(300, 310))
-        assert made.addresses == range(100, 310)
-        assert len(made) == len(list(made)) == 23
-        assert repr(made) == f"<{name} 100..111, 120..120, 300..309>"
-        made[300] = made[120] = 1
-        assert list(made) == [0] * 12 + [1, 1] + [0] * 9
-        assert made[108:112] == [0] * 4
+        cells = table(name, HOLES)
+        assert cells.ranges == (range(100, 112), range(120, 121), range(300, 310))
+        assert cells.addresses == range(100, 310)
+        assert len(cells) == len(list(cells)) == 23
+        assert repr(cells) == f"<{name} 100..111, 120..120, 300..309>"
+        cells[300] = cells[120] = 1
+        assert list(cells) == [0] * 12 + [1, 1] + [0] * 9
+        assert cells[108:112] == [0] * 4
         for address in (99, 112, 119, 121, 299, 310, -1):
-            assert not made.has(address)
+            assert not cells.has(address)
             with pytest.raises(IndexError, match=rf"no address {address} in <{name} 100\.\.111"):
-                made[address]
+                cells[address]
             with pytest.raises(IndexError, match=f"no address {address} in"):
-                made[address] = 1
+                cells[address] = 1
 
     @each_table
     @each_case(
@@ -99,13 +99,13 @@ class TestHoles:
         ],
     )
     def test_a_slice_names_the_hole_in_it(self, name: str, key: slice, missing: object) -> None:
-        made = table(name, HOLES)
+        cells = table(name, HOLES)
         with pytest.raises(IndexError, match=rf"no address(es)? {missing} in <{name} "):
-            made[key]
+            cells[key]
         with pytest.raises(IndexError, match=rf"no address(es)? {missing} in"):
-            made[key] = [1] * 21
-        assert not any(made.view)
-        assert made[115:115] == []
+            cells[key] = [1] * 21
+        assert not any(cells.view)
+        assert cells[115:115] == []
 
     def test_values_stand_where_they_are_given(self) -> None:
         mapping = Mapping(
@@ -120,9 +120,9 @@ class TestHoles:
     def test_a_repr_shows_few_ranges(self, name: str) -> None:
         for nothing in ([], {}, {5: []}, [range(5, 5)]):
             assert repr(table(name, nothing)) == f"<{name} empty>"
-        made = table(name, [range(at, at + 1) for at in range(0, 2000, 2)])
-        assert repr(made).endswith("14..14, 992 more>")
-        assert len(made) == 1000
+        cells = table(name, [range(at, at + 1) for at in range(0, 2000, 2)])
+        assert repr(cells).endswith("14..14, 992 more>")
+        assert len(cells) == 1000
 
     @each_table
     @each_case(
@@ -150,7 +150,7 @@ class TestHoles:
             ([range(3), 5], TypeError, r"a count, ranges of addresses or {address: values}, not"),
         ],
     )
-    def test_what_cannot_be_is_refused_by_name(self, name: str, bad, error, text) -> None:
+    def test_wrong_ranges_are_refused_with_the_table(self, name: str, bad, error, text) -> None:
         with pytest.raises(error, match=rf"^{name}.*{text}"):
             table(name, bad)
 
@@ -167,26 +167,26 @@ class TestHoles:
 class TestAccess:
     @each_table
     def test_empty_table_has_no_address(self, name: str) -> None:
-        made = table(name, 0)
-        assert list(made) == made[:] == made[0:0] == []
+        cells = table(name, 0)
+        assert list(cells) == cells[:] == cells[0:0] == []
         for key in (0, -1):
             with pytest.raises(IndexError, match=f"<{name} empty>"):
-                made[key]
+                cells[key]
 
     @each_table
     def test_slices_go_by_address(self, name: str) -> None:
-        made = table(name, range(100, 110))
-        made[102:105] = [1, 0, 1]
-        assert made[:] == [0, 0, 1, 0, 1, 0, 0, 0, 0, 0]
-        assert made[100:103] == [0, 0, 1]
-        assert made[104:] == [1, 0, 0, 0, 0, 0]
-        assert made[:103] == [0, 0, 1]
-        assert made[100:110] == made[:]
-        assert made[105:105] == made[100:100] == made[110:110] == []
-        made[103:103] = []
-        assert made[100:110:2] == [0, 1, 1, 0, 0]
-        made[100:110:3] = [1, 1, 0, 1]
-        assert made[:] == [1, 0, 1, 1, 1, 0, 0, 0, 0, 1]
+        cells = table(name, range(100, 110))
+        cells[102:105] = [1, 0, 1]
+        assert cells[:] == [0, 0, 1, 0, 1, 0, 0, 0, 0, 0]
+        assert cells[100:103] == [0, 0, 1]
+        assert cells[104:] == [1, 0, 0, 0, 0, 0]
+        assert cells[:103] == [0, 0, 1]
+        assert cells[100:110] == cells[:]
+        assert cells[105:105] == cells[100:100] == cells[110:110] == []
+        cells[103:103] = []
+        assert cells[100:110:2] == [0, 1, 1, 0, 0]
+        cells[100:110:3] = [1, 1, 0, 1]
+        assert cells[:] == [1, 0, 1, 1, 1, 0, 0, 0, 0, 1]
 
     @each_table
     @each_case(
@@ -206,64 +206,64 @@ class TestAccess:
         ids=str,
     )
     def test_slices_past_the_table_are_errors(self, name: str, key: slice) -> None:
-        made = table(name, range(100, 110))
+        cells = table(name, range(100, 110))
         with pytest.raises(IndexError, match=rf"<{name} 100\.\.109>"):
-            made[key]
+            cells[key]
         with pytest.raises(IndexError, match=rf"<{name} 100\.\.109>"):
-            made[key] = [0] * 10
-        assert made[:] == [0] * 10
+            cells[key] = [0] * 10
+        assert cells[:] == [0] * 10
 
     @each_table
     @each_case("key", [1.0, "1", None, (1, 2), slice(1.0, 2), slice("a", None)])
     def test_addresses_are_integers(self, name: str, key: Any) -> None:
-        made = table(name, 10)
+        cells = table(name, 10)
         with pytest.raises(TypeError, match=f"address in <{name}"):
-            made[key]
+            cells[key]
         with pytest.raises(TypeError, match=f"address in <{name}"):
-            made[key] = 0
+            cells[key] = 0
 
     @each_table
     @each_case("values", [[], [1], [1] * 3, [1] * 65537])
     def test_as_many_values_as_addresses(self, name: str, values: list[int]) -> None:
-        made = table(name, 10)
+        cells = table(name, 10)
         with pytest.raises(ValueError, match=f"{name}: {len(values)} values for 2 addresses"):
-            made[4:6] = values
-        assert made[:] == [0] * 10
+            cells[4:6] = values
+        assert cells[:] == [0] * 10
 
     @each_table
     def test_bad_value_changes_nothing(self, name: str) -> None:
-        made = table(name, 4)
+        cells = table(name, 4)
         for bad in (None, "1", 1.5, [1]):
             with pytest.raises(TypeError, match=f"^{name}: a value is "):
-                made[1] = bad
+                cells[1] = bad
             with pytest.raises(TypeError, match=f"^{name}: a value is "):
-                made[0:3] = [1, 1, bad]
+                cells[0:3] = [1, 1, bad]
         with pytest.raises(TypeError):
-            made[0:3] = 5
-        assert made[:] == [0] * 4
+            cells[0:3] = 5
+        assert cells[:] == [0] * 4
 
     @each_register_table
     def test_registers_go_from_0_to_65535(self, name: str) -> None:
-        made = table(name, 4)
-        made[0:2] = [0, 65535]
-        assert made[0:2] == [0, 65535]
-        assert [type(value) for value in made] == [int] * 4
+        cells = table(name, 4)
+        cells[0:2] = [0, 65535]
+        assert cells[0:2] == [0, 65535]
+        assert [type(value) for value in cells] == [int] * 4
         for bad in (-1, 65536):
             with pytest.raises(ValueError, match=rf"^{name}: .* 0\.\.65535, not {bad}"):
-                made[0] = bad
+                cells[0] = bad
             with pytest.raises(ValueError, match=rf"^{name}: .* 0\.\.65535, not {bad}"):
-                made[0:2] = [1, bad]
-        assert made[0:2] == [0, 65535]
+                cells[0:2] = [1, bad]
+        assert cells[0:2] == [0, 65535]
 
     @each_bit_table
     @each_case("value", [0, 1, 2, 255, 256, 65536, -1, 1 << 70, True, False])
     def test_bits_become_0_or_1_whatever_integer_is_assigned(self, name: str, value: int) -> None:
-        made = table(name, 4)
-        made[1] = value
-        made[2:4] = [value, not value]
-        assert made[:] == [False, bool(value), bool(value), not value]
-        assert {type(bit) for bit in made} == {bool}
-        assert list(made.view) == [0, int(value != 0), int(value != 0), int(value == 0)]
+        cells = table(name, 4)
+        cells[1] = value
+        cells[2:4] = [value, not value]
+        assert cells[:] == [False, bool(value), bool(value), not value]
+        assert {type(bit) for bit in cells} == {bool}
+        assert list(cells.view) == [0, int(value != 0), int(value != 0), int(value == 0)]
 
     @settings(max_examples=40)
     @given(
@@ -280,109 +280,109 @@ class TestAccess:
         self, name: str, first: int, steps: list[tuple[int, int, list[int]]]
     ) -> None:
         addresses = range(first, first + 20)
-        made, model = table(name, addresses), dict.fromkeys(addresses, 0)
+        cells, model = table(name, addresses), dict.fromkeys(addresses, 0)
         for offset, stride, values in steps:
             start = first + offset
             room = addresses[offset :: stride if len(values) != 1 else 1][: len(values)]
             if len(values) == 1:
-                made[start] = values[0]
+                cells[start] = values[0]
             elif room:
-                made[start : room[-1] + 1 : stride] = values[: len(room)]
+                cells[start : room[-1] + 1 : stride] = values[: len(room)]
             for address, value in zip(room, values, strict=False):
                 model[address] = int(value != 0) if name in BITS else value
-            assert made[start] == model[start]
-            assert made[start::stride] == [model[at] for at in addresses[offset::stride]]
-        assert dict(zip(addresses, made, strict=True)) == model
+            assert cells[start] == model[start]
+            assert cells[start::stride] == [model[at] for at in addresses[offset::stride]]
+        assert dict(zip(addresses, cells, strict=True)) == model
 
 
 class TestTypedValues:
     @each_register_table
     def test_known_values(self, name: str) -> None:
-        made = table(name, range(100, 110))
-        made.write(100, 1.0, "float32", order="CDAB")
-        made.write(102, -2, "int32")
-        made.write(104, "AB", "string:4", padding=" ")
-        made.write(109, 1234, "bcd16")
-        assert made[:] == [0, 0x3F80, 0xFFFF, 0xFFFE, 0x4142, 0x2020, 0, 0, 0, 0x1234]
-        assert made.read(100, "float32", order="CDAB") == 1.0
-        assert made.read(102, "int32") == -2
-        assert made.read(104, "string:4", padding=" ") == "AB"
-        assert made.read(104, "string:4") == "AB  "
-        assert made.read(109, "bcd16") == 1234
+        cells = table(name, range(100, 110))
+        cells.write(100, 1.0, "float32", order="CDAB")
+        cells.write(102, -2, "int32")
+        cells.write(104, "AB", "string:4", padding=" ")
+        cells.write(109, 1234, "bcd16")
+        assert cells[:] == [0, 0x3F80, 0xFFFF, 0xFFFE, 0x4142, 0x2020, 0, 0, 0, 0x1234]
+        assert cells.read(100, "float32", order="CDAB") == 1.0
+        assert cells.read(102, "int32") == -2
+        assert cells.read(104, "string:4", padding=" ") == "AB"
+        assert cells.read(104, "string:4") == "AB  "
+        assert cells.read(109, "bcd16") == 1234
 
     @each_register_table
-    def test_lists_of_values(self, name: str) -> None:
-        made = table(name, range(100, 106))
-        made.write_values(100, [1.0, 2.0], "float32", order="CDAB")
-        assert made[:] == [0, 0x3F80, 0, 0x4000, 0, 0]
-        assert made.read_values(100, "float32", 2, order="CDAB") == [1.0, 2.0]
-        assert made.read_values(102, "float32", count=2, order="CDAB") == [2.0, 0.0]
-        assert made.read_values(100, "float32", order="CDAB") == [1.0]
-        made.write_values(100, (text for text in ("A", "BC")), "string:2", padding=" ")
-        assert made.read_values(100, "string:2", 3, padding=" ") == ["A", "BC", ""]
-        made.write_values(106, [], "int16")
+    def test_lists_of_typed_values_are_written_and_read(self, name: str) -> None:
+        cells = table(name, range(100, 106))
+        cells.write_values(100, [1.0, 2.0], "float32", order="CDAB")
+        assert cells[:] == [0, 0x3F80, 0, 0x4000, 0, 0]
+        assert cells.read_values(100, "float32", 2, order="CDAB") == [1.0, 2.0]
+        assert cells.read_values(102, "float32", count=2, order="CDAB") == [2.0, 0.0]
+        assert cells.read_values(100, "float32", order="CDAB") == [1.0]
+        cells.write_values(100, (text for text in ("A", "BC")), "string:2", padding=" ")
+        assert cells.read_values(100, "string:2", 3, padding=" ") == ["A", "BC", ""]
+        cells.write_values(106, [], "int16")
 
     @each_register_table
     @each_case("address", [-1, 0, 99, 109, 110, 65535, 1 << 70])
     def test_all_registers_of_a_value_exist(self, name: str, address: int) -> None:
-        made = table(name, range(100, 110))
+        cells = table(name, range(100, 110))
         for access in (
-            lambda: made.write(address, 1.0, "float32"),
-            lambda: made.read(address, "float32"),
-            lambda: made.write_values(address, [1.0], "float32"),
-            lambda: made.read_values(address, "float32"),
+            lambda: cells.write(address, 1.0, "float32"),
+            lambda: cells.read(address, "float32"),
+            lambda: cells.write_values(address, [1.0], "float32"),
+            lambda: cells.read_values(address, "float32"),
         ):
             with pytest.raises(IndexError, match=rf"{address}:.* in <{name} 100\.\.109>"):
                 access()
-        assert made[:] == [0] * 10
+        assert cells[:] == [0] * 10
 
     @each_register_table
     @each_case(
-        ("access", "error", "named"),
+        ("access", "error", "message"),
         [
-            (lambda made: made.write(0, 70000, "uint16"), ValueError, "^value must be in 0"),
-            (lambda made: made.write(0, "1", "uint16"), TypeError, "^value must be an integer"),
-            (lambda made: made.write(0, 1, "uint12"), ValueError, "type must be one of"),
-            (lambda made: made.write(0, 1, "int16", order="X"), ValueError, "order must be"),
-            (lambda made: made.write("0", 1, "int16"), TypeError, "address in <.* an integer"),
-            (lambda made: made.write(0, "ABC", "string:2"), ValueError, "value must have"),
-            (lambda made: made.write_values(0, [1, -1], "uint16"), ValueError, r"^values\[1\]"),
-            (lambda made: made.write_values(0, "AB", "string:2"), TypeError, "values must be"),
-            (lambda made: made.read(9, "bcd16"), ValueError, r"registers\[0:1\] hold no bcd16"),
-            (lambda made: made.read(0.0, "bcd16"), TypeError, "address in <.* an integer"),
-            (lambda made: made.read(0, "bcd8"), ValueError, "type must be one of"),
-            (lambda made: made.read(0, "int16", order="X"), ValueError, "order must be"),
-            (lambda made: made.read_values(8, "bcd16", 2), ValueError, r"registers\[1:2\]"),
-            (lambda made: made.read_values(0, "int16", 0), ValueError, r"count must be in 1\.\."),
-            (lambda made: made.read_values(0, "int16", 65537), ValueError, "count must be in"),
-            (lambda made: made.read_values(0, "int16", 1.0), TypeError, "count must be an"),
+            (lambda cells: cells.write(0, 70000, "uint16"), ValueError, "^value must be in 0"),
+            (lambda cells: cells.write(0, "1", "uint16"), TypeError, "^value must be an integer"),
+            (lambda cells: cells.write(0, 1, "uint12"), ValueError, "type must be one of"),
+            (lambda cells: cells.write(0, 1, "int16", order="X"), ValueError, "order must be"),
+            (lambda cells: cells.write("0", 1, "int16"), TypeError, "address in <.* an integer"),
+            (lambda cells: cells.write(0, "ABC", "string:2"), ValueError, "value must have"),
+            (lambda cells: cells.write_values(0, [1, -1], "uint16"), ValueError, r"^values\[1\]"),
+            (lambda cells: cells.write_values(0, "AB", "string:2"), TypeError, "values must be"),
+            (lambda cells: cells.read(9, "bcd16"), ValueError, r"registers\[0:1\] hold no bcd16"),
+            (lambda cells: cells.read(0.0, "bcd16"), TypeError, "address in <.* an integer"),
+            (lambda cells: cells.read(0, "bcd8"), ValueError, "type must be one of"),
+            (lambda cells: cells.read(0, "int16", order="X"), ValueError, "order must be"),
+            (lambda cells: cells.read_values(8, "bcd16", 2), ValueError, r"registers\[1:2\]"),
+            (lambda cells: cells.read_values(0, "int16", 0), ValueError, r"count must be in 1\.\."),
+            (lambda cells: cells.read_values(0, "int16", 65537), ValueError, "count must be in"),
+            (lambda cells: cells.read_values(0, "int16", 1.0), TypeError, "count must be an"),
         ],
     )
-    def test_errors_change_nothing(self, name: str, access, error, named) -> None:
-        made = table(name, 10)
-        made[9] = 0xFFFF
-        with pytest.raises(error, match=named):
-            access(made)
-        assert made[:] == [0] * 9 + [0xFFFF]
+    def test_refused_typed_values_change_nothing(self, name: str, access, error, message) -> None:
+        cells = table(name, 10)
+        cells[9] = 0xFFFF
+        with pytest.raises(error, match=message):
+            access(cells)
+        assert cells[:] == [0] * 9 + [0xFFFF]
 
 
 class TestViews:
     @each_table
     def test_view_begins_with_the_first_address(self, name: str) -> None:
-        made = table(name, range(100, 110))
-        made[101] = 1
-        assert len(made.view) == 10
-        assert made.view.tolist() == [0, 1, 0, 0, 0, 0, 0, 0, 0, 0]
-        assert made.view.format == ("B" if name in BITS else "H")
-        assert made.view.itemsize == (1 if name in BITS else 2)
+        cells = table(name, range(100, 110))
+        cells[101] = 1
+        assert len(cells.view) == 10
+        assert cells.view.tolist() == [0, 1, 0, 0, 0, 0, 0, 0, 0, 0]
+        assert cells.view.format == ("B" if name in BITS else "H")
+        assert cells.view.itemsize == (1 if name in BITS else 2)
 
     @each_register_table
     def test_register_view_writes_into_the_table(self, name: str) -> None:
-        made = table(name, range(10, 14))
-        view = made.view
+        cells = table(name, range(10, 14))
+        view = cells.view
         view[1] = 0x1234
         view[2:4] = memoryview(b"\1\0\2\0" if sys.byteorder == "little" else b"\0\1\0\2").cast("H")
-        assert made[:] == [0, 0x1234, 1, 2]
+        assert cells[:] == [0, 0x1234, 1, 2]
 
     @each_bit_table
     def test_bit_view_is_read_only(self, name: str) -> None:
@@ -478,8 +478,8 @@ def test_a_mapping_in_a_circle_can_be_collected() -> None:
 
 
 def test_mappings_are_forgotten_all_the_same() -> None:
-    made = Mapping(coils=1)
-    known = weakref.ref(made)
-    del made
+    mapping = Mapping(coils=1)
+    reference = weakref.ref(mapping)
+    del mapping
     gc.collect()
-    assert known() is None
+    assert reference() is None

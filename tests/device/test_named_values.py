@@ -22,7 +22,7 @@ MAP = RegisterMap(
 )
 
 
-def test_values_by_name() -> None:
+def test_values_are_set_and_read_by_the_names_of_points() -> None:
     device = Device.of_map(MAP, {"setpoint": 21.5, "name": "Ab", "alarms": [True, False, True]})
     assert device.mapping.holding_registers[0] == 215
     assert device["setpoint"] == 21.5
@@ -59,7 +59,7 @@ WRONG: list[tuple[dict[Any, Any], type[Exception], str]] = [
 
 
 @each_case(("values", "error", "message"), WRONG)
-def test_what_does_not_fit_changes_nothing(values, error, message) -> None:
+def test_an_update_with_a_wrong_value_changes_nothing(values, error, message) -> None:
     device = Device.of_map(MAP, {"setpoint": 20})
     with pytest.raises(error, match=message):
         device.update(values)
@@ -110,20 +110,20 @@ def test_what_is_no_map_is_refused(make: Any) -> None:
         make()
 
 
-def test_hooks_are_told_names_and_old_values() -> None:
-    seen: list[tuple[str, Access]] = []
+def test_hooks_get_names_and_old_values() -> None:
+    log: list[tuple[str, Access]] = []
     device = Device.of_map(
         MAP,
         {"setpoint": 21.5, "mode": 3},
-        before_write=lambda access: seen.append(("before", access)),
-        after_write=Hook(lambda access: seen.append(("after", access)), holding_registers=range(9)),
-        before_read=lambda access: seen.append(("read", access)),
+        before_write=lambda access: log.append(("before", access)),
+        after_write=Hook(lambda access: log.append(("after", access)), holding_registers=range(9)),
+        before_read=lambda access: log.append(("read", access)),
     )
     device["mode"] = 4  # no hook hears of it
     assert device.answer(b"\6\0\0\0\xc8") == b"\6\0\0\0\xc8"
     assert device.answer(b"\3\0\0\0\4")[:2] == b"\3\x08"
-    told = [(kind, each.names, each.values, each.old_values) for kind, each in seen]
-    assert told == [
+    accesses = [(kind, each.names, each.values, each.old_values) for kind, each in log]
+    assert accesses == [
         ("before", ("setpoint",), (200,), (215,)),
         ("after", ("setpoint",), (200,), (215,)),
         ("read", ("setpoint", "energy", "mode"), (), ()),
@@ -131,11 +131,11 @@ def test_hooks_are_told_names_and_old_values() -> None:
 
 
 def test_old_values_without_names() -> None:
-    seen: list[Access] = []
-    device = Device(Mapping(coils=8), files={4: [7, 8, 9]}, after_write=seen.append)
+    accesses: list[Access] = []
+    device = Device(Mapping(coils=8), files={4: [7, 8, 9]}, after_write=accesses.append)
     device.answer(b"\x0f\0\1\0\3\1\5")
     device.answer(bytes.fromhex("15 0b 06 0004 0001 0002 0001 0002"))
-    assert [(each.names, each.values, each.old_values) for each in seen] == [
+    assert [(each.names, each.values, each.old_values) for each in accesses] == [
         ((), (True, False, True), (False, False, False)),
         ((), (1, 2), (8, 9)),
     ]
@@ -165,8 +165,8 @@ def test_other_threads_see_all_changes_of_an_update_or_none() -> None:
 def test_a_device_of_the_path_of_a_map(tmp_path: Path) -> None:
     path = tmp_path / "boiler.csv"
     path.write_text("name,table,address,scale\nsetpoint,holding,3,0.1\n")
-    for given in (path, str(path)):
-        device = Device.of_map(given, {"setpoint": 21.5})
+    for place in (path, str(path)):
+        device = Device.of_map(place, {"setpoint": 21.5})
         assert device.mapping.holding_registers[3] == 215
         assert device.mapping.holding_registers.ranges == (range(3, 4),)
     path.write_text("name,table\n")

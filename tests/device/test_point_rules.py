@@ -84,7 +84,7 @@ def plant() -> Device:
 
 
 @each_case(("request_", "code"), REQUESTS)
-def test_codes(request_: pdu.Request[Any], code: int) -> None:
+def test_requests_against_rules_of_a_map_are_refused(request_: pdu.Request[Any], code: int) -> None:
     device = plant()
     before = contents(device)
     response = device.answer(request_.encode())
@@ -98,8 +98,8 @@ def test_requests_in_one_chunk_get_the_same_answers() -> None:
     by_chunk, by_one = plant(), plant()
     for request, _ in REQUESTS:
         frame = struct.pack(">HHHB", 1, 0, len(request.encode()) + 1, 1) + request.encode()
-        used, answered, _, _ = by_chunk.answer_chunk(frame, 0, 1)
-        in_chunk = answered[7:] if used else by_chunk.answer(request.encode())
+        size, answer, _, _ = by_chunk.answer_chunk(frame, 0, 1)
+        in_chunk = answer[7:] if size else by_chunk.answer(request.encode())
         assert in_chunk == by_one.answer(request.encode())
         assert contents(by_chunk) == contents(by_one)
 
@@ -117,13 +117,13 @@ def test_requests_without_a_rule_are_answered_in_c() -> None:
 
 
 def test_rules_come_before_hooks() -> None:
-    told: list[Access] = []
-    device = Device.of_map(MAP, {"setpoint": 20}, before_write=told.append, before_read=told.append)
+    log: list[Access] = []
+    device = Device.of_map(MAP, {"setpoint": 20}, before_write=log.append, before_read=log.append)
     for request in (b"\6\0\0\1\x2d", b"\6\0\4\0\0", b"\3\0\6\0\1", b"\6\0\x63\0\0"):
         assert device.answer(request)[0] & 0x80
-    assert told == []
+    assert log == []
     assert device.answer(b"\6\0\0\0\xc9") == b"\6\0\0\0\xc9"
-    assert len(told) == 1
+    assert len(log) == 1
 
 
 def test_authorization_comes_before_rules() -> None:
@@ -169,16 +169,16 @@ def test_bounds_of_a_list_hold_for_each_value() -> None:
     assert device["levels"] == [1, 9, 8, 4]
 
 
-def test_many_overlapping_points() -> None:
+def test_an_access_meets_every_point_that_overlaps_it() -> None:
     """Every point that an access touches is found, wherever the longer ones begin."""
     points = [Point("all", "holding_registers", 0, 300, access="read")]
     points += [Point(f"r{at}", "holding_registers", at, maximum=at) for at in range(300)]
-    seen: list[Access] = []
-    device = Device.of_map(RegisterMap(points), before_write=seen.append)
+    accesses: list[Access] = []
+    device = Device.of_map(RegisterMap(points), before_write=accesses.append)
     for at in range(0, 300, 37):
         assert device.answer(pdu.WriteRegister(at, at + 1).encode()) == b"\x86\3"
         assert device.answer(pdu.WriteRegister(at, at).encode())[0] == 6
-        assert set(seen[-1].names) == {"all", f"r{at}"}
+        assert set(accesses[-1].names) == {"all", f"r{at}"}
 
 
 def test_a_point_without_a_value_of_its_type_can_still_be_mended() -> None:

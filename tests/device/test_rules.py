@@ -39,15 +39,15 @@ def test_nothing_is_allowed_that_no_rule_allows() -> None:
             assert code(other.answer(request.encode(), Caller(role=role))) == 1
 
 
-def test_all_is_all() -> None:
+def test_the_rule_all_allows_every_request() -> None:
     for role in ("Engineer", None):
         guarded = device(Rules({role: ALL}))
-        refused = [
+        refusals = [
             type(request)
             for request in REQUEST_OBJECTS
             if code(guarded.answer(request.encode(), Caller(role=role))) == 1
         ]
-        assert refused == [pdu.RawRequest]  # a function that nobody is
+        assert refusals == [pdu.RawRequest]  # a function that nobody is
 
 
 TABLES = {
@@ -80,15 +80,15 @@ def test_a_table_is_for_all_functions_that_touch_it(request_: pdu.Request[Any]) 
         ("write", ("coils", "holding_registers", "file")),
     ):
         for table in tables:
-            allowed = TABLES[request_] == (name, table)
+            is_allowed = TABLES[request_] == (name, table)
             answer = device(Rules({None: Allow(**{name: [table]})})).answer(request_.encode())
-            assert code(answer) == (0 if allowed else 1), (name, table)
+            assert code(answer) == (0 if is_allowed else 1), (name, table)
 
 
 def test_function_23_needs_both() -> None:
     request = pdu.ReadWriteRegisters(0, 10, 100, (1, 2)).encode()
     reads, writes = Access("holding_registers", 0, 10), Access("holding_registers", 100, 2)
-    for read, write, expected in (
+    for read, write, result in (
         ([reads], [writes], 0),
         ([reads], [], 1),
         ([], [writes], 1),
@@ -96,14 +96,14 @@ def test_function_23_needs_both() -> None:
         ("all", [Access("holding_registers", 100, 1)], 1),
         ([Access("holding_registers", 1, 9)], "all", 1),
     ):
-        assert code(device(Rules({None: Allow(read, write)})).answer(request)) == expected
+        assert code(device(Rules({None: Allow(read, write)})).answer(request)) == result
 
 
 def test_a_request_for_two_files_needs_both() -> None:
     request = pdu.ReadFileRecords(((4, 1, 2), (3, 9, 2))).encode()
     four, three = Access("file", 1, 2, file=4), Access("file", 0, 100, file=3)
-    for read, expected in (([four, three], 0), ([four], 1), ([three], 1), (["file"], 0)):
-        assert code(device(Rules({None: Allow(read)})).answer(request)) == expected
+    for read, result in (([four, three], 0), ([four], 1), ([three], 1), (["file"], 0)):
+        assert code(device(Rules({None: Allow(read)})).answer(request)) == result
 
 
 runs = st.tuples(st.integers(0, 30), st.integers(1, 12))
@@ -112,16 +112,16 @@ runs = st.tuples(st.integers(0, 30), st.integers(1, 12))
 @settings(max_examples=100)
 @given(st.lists(runs, max_size=6), runs)
 def test_parts_of_a_table_cover_what_their_items_do(
-    allowed: list[tuple[int, int]], asked: tuple[int, int]
+    ranges: list[tuple[int, int]], range_: tuple[int, int]
 ) -> None:
-    made = device(Rules({None: Allow([Access("holding_registers", *run) for run in allowed])}))
-    items = {item for first, count in allowed for item in range(first, first + count)}
-    first, count = asked
+    device_ = device(Rules({None: Allow([Access("holding_registers", *run) for run in ranges])}))
+    items = {item for first, count in ranges for item in range(first, first + count)}
+    first, count = range_
     is_allowed = items.issuperset(range(first, first + count))
     read = pdu.ReadHoldingRegisters(first, count)
-    assert (code(made.answer(read.encode())) == 0) == is_allowed
+    assert (code(device_.answer(read.encode())) == 0) == is_allowed
     for other in (pdu.ReadInputRegisters(first, count), pdu.WriteRegisters(first, (0,) * count)):
-        assert code(made.answer(other.encode())) == 1
+        assert code(device_.answer(other.encode())) == 1
 
 
 def test_the_last_item_of_a_table() -> None:
@@ -138,13 +138,13 @@ def test_functions_that_touch_no_table_are_allowed_by_their_code(request_) -> No
     data = request_.encode()
     for functions in ((7,), (8,), (11,), (12,), (17,), (43,), (65,), (7, 8, 11, 12, 17, 43)):
         rules = Rules({None: Allow("all", "all", functions)})
-        allowed = code(device(rules).answer(data)) != 1
+        is_allowed = code(device(rules).answer(data)) != 1
         # Nobody is function 65: it gets exception 1 either way.
-        assert allowed == (request_.function in functions and request_.function != 65)
+        assert is_allowed == (request_.function in functions and request_.function != 65)
 
 
 @each_case(
-    ("functions", "data", "expected"),
+    ("functions", "data", "result"),
     [
         (["8/0"], b"\x08\x00\x00\x12\x34", 0),
         (["8/0"], b"\x08\x00\x02\x00\x00", 1),
@@ -157,12 +157,12 @@ def test_functions_that_touch_no_table_are_allowed_by_their_code(request_) -> No
         ([43], b"\x2b\x0d\x01\x00", 0),
     ],
 )
-def test_sub_functions_and_mei_types(functions: list[str], data: bytes, expected: int) -> None:
-    assert code(device(Rules({None: Allow(functions=functions)})).answer(data)) == expected
+def test_sub_functions_and_mei_types(functions: list[str], data: bytes, result: int) -> None:
+    assert code(device(Rules({None: Allow(functions=functions)})).answer(data)) == result
 
 
 @each_case(
-    ("allow", "data", "expected"),
+    ("allow", "data", "result"),
     [
         (Allow(read=["coils"]), b"\x01\x00", 3),  # may read some: is told what is wrong
         (Allow(read=[Access("coils", 9, 1)]), b"\x01\x00", 3),
@@ -182,12 +182,12 @@ def test_sub_functions_and_mei_types(functions: list[str], data: bytes, expected
         (ALL, b"\x5a", 1),
     ],
 )
-def test_what_cannot_be_decoded(allow: Allow, data: bytes, expected: int) -> None:
-    assert code(device(Rules({None: allow})).answer(data)) == expected
+def test_bad_requests_are_explained_if_allowed(allow: Allow, data: bytes, result: int) -> None:
+    assert code(device(Rules({None: allow})).answer(data)) == result
 
 
 @each_case(
-    ("make", "said"),
+    ("make", "message"),
     [
         (lambda: Rules([]), "roles must be {role: Allow(...)}, not list"),
         (lambda: Rules({"x": "all"}), "roles['x'] must be Allow(...), not str"),
@@ -229,20 +229,20 @@ def test_what_cannot_be_decoded(allow: Allow, data: bytes, expected: int) -> Non
         (lambda: Allow(functions=17), 'functions must be "all" or a list, not 17'),
     ],
 )
-def test_what_cannot_be_is_refused_at_once(make: Any, said: str) -> None:
+def test_wrong_rules_are_refused_when_they_are_made(make: Any, message: str) -> None:
     with pytest.raises((TypeError, ValueError)) as caught:
         make()
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
-def test_what_was_given_may_change_afterwards() -> None:
+def test_rules_do_not_follow_later_changes_of_their_dict() -> None:
     roles = {"a": Allow(read=iter(["coils"]), functions=iter([17]))}
     rules = Rules(roles)
     roles["b"] = ALL
-    made = device(rules)
+    device_ = device(rules)
     for _ in range(2):
-        assert code(made.answer(pdu.ReadCoils(0, 1).encode(), Caller(role="a"))) == 0
-        assert code(made.answer(b"\x11", Caller(role="a"))) == 0
-    assert code(made.answer(b"\x11", Caller(role="b"))) == 1
+        assert code(device_.answer(pdu.ReadCoils(0, 1).encode(), Caller(role="a"))) == 0
+        assert code(device_.answer(b"\x11", Caller(role="a"))) == 0
+    assert code(device_.answer(b"\x11", Caller(role="b"))) == 1
     assert roles["a"] == Allow(["coils"], functions=[17])
     assert "'a': Allow(read=('coils',)" in repr(rules)

@@ -32,7 +32,7 @@ def plant() -> Device:
     return Device(mapping, files={4: {3: 1, 4: 2, 9: 3}, 65535: [0] * 10_000})
 
 
-def test_values_come_back(tmp_path: Path) -> None:
+def test_saved_values_are_loaded(tmp_path: Path) -> None:
     path = tmp_path / "values"
     saved = plant()
     saved.mapping.coils[5] = True
@@ -223,7 +223,7 @@ def test_every_cut_and_every_changed_byte_is_refused(tmp_path: Path) -> None:
             device.load(path)
 
 
-def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+def test_paths_that_are_no_file_are_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero")):
         with pytest.raises(OSError, match=f"(not a regular file|Is a directory): '{path}'"):
@@ -247,7 +247,7 @@ def test_links_and_permissions_stay(tmp_path: Path) -> None:
 
 
 @each_case("step", ["fsync", "replace", "fchmod"])
-def test_what_fails_leaves_the_file_as_it_was(step, tmp_path, monkeypatch) -> None:
+def test_a_failed_save_leaves_the_file(step, tmp_path, monkeypatch) -> None:
     path = tmp_path / step
     device = plant()
     device.save(path)
@@ -338,9 +338,9 @@ print(at)
 
 def test_a_program_that_is_killed_at_any_step_of_saving_leaves_a_whole_file(tmp_path: Path) -> None:
     command = [sys.executable, "-c", KILLED, tmp_path / "values"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=50)
-    assert done.stderr == ""
-    assert int(done.stdout) > 10
+    process = subprocess.run(command, capture_output=True, text=True, timeout=50)
+    assert process.stderr == ""
+    assert int(process.stdout) > 10
 
 
 def test_threads_that_save_one_file_leave_that_of_one_of_them(tmp_path: Path) -> None:

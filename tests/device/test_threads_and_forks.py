@@ -29,11 +29,11 @@ class TestThreads:
     @pytest.mark.parametrize("devices", [1, 4])
     def test_threads_get_their_own_answers(self, devices: int, quick_switches: None) -> None:
         """Of one device, whose lock they share, and of their own, where no lock helps."""
-        made = [new_device() for _ in range(devices)]
+        devices_ = [new_device() for _ in range(devices)]
         wrong: list[Any] = []
 
         def work(number: int) -> None:
-            device = made[number % devices]
+            device = devices_[number % devices]
             address = 100 + number
             for turn in range(400):
                 write = b"\x06" + words(address, turn)
@@ -105,14 +105,14 @@ class TestThreads:
 
 def runs_in_thread(work: Callable[[], object]) -> threading.Event:
     """Start work in another thread; the event says when it is done."""
-    done = threading.Event()
+    end = threading.Event()
 
     def run() -> None:
         work()
-        done.set()
+        end.set()
 
     threading.Thread(target=run, daemon=True).start()
-    return done
+    return end
 
 
 class TestLock:
@@ -138,9 +138,9 @@ class TestLock:
         mapping = Mapping(4, 4, 4, 4)
         with mapping as entered:
             assert entered is mapping
-            done = runs_in_thread(lambda: work(mapping))
-            assert not done.wait(0.05)
-        assert done.wait(10)
+            end = runs_in_thread(lambda: work(mapping))
+            assert not end.wait(0.05)
+        assert end.wait(10)
 
     def test_owner_of_the_mapping_goes_on(self) -> None:
         mapping = Mapping(4, 4, 4, 4)

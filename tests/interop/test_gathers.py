@@ -60,32 +60,32 @@ class Served(NamedTuple):
 @contextlib.contextmanager
 def pymodbus() -> Iterator[Served]:
     """The server of pymodbus, which responds to the last request of what it receives together."""
-    written: list[tuple[int, int]] = []
+    writes: list[tuple[int, int]] = []
 
     def note(sending: bool, message: ModbusPDU) -> ModbusPDU:
         if sending and message.function_code == 6:
-            written.append((message.address, message.registers[0]))
+            writes.append((message.address, message.registers[0]))
         return message
 
     with pymodbus_serving("tcp", trace_pdu=note) as url:
-        yield Served(url, written)
+        yield Served(url, writes)
 
 
 @contextlib.contextmanager
 def first_frame() -> Iterator[Served]:
     """A device that responds to the first frame of what it receives together."""
-    written: list[tuple[int, int]] = []
+    writes: list[tuple[int, int]] = []
 
     def answer(data: bytes) -> list[bytes]:
         function, address, word = struct.unpack_from(">BHH", data, 7)
         if function == 6:
-            written.append((address, word))
+            writes.append((address, word))
             return [mbap(data, data[7:12])]
-        held = {at: holding_register(at) for at in HOLDING_REGISTERS} | dict(written)
-        return [mbap(data, struct.pack(">BBH", function, 2, held[address]))]
+        registers = {at: holding_register(at) for at in HOLDING_REGISTERS} | dict(writes)
+        return [mbap(data, struct.pack(">BBH", function, 2, registers[address]))]
 
     with FakeServer(answer) as server:
-        yield Served(server.url, written)
+        yield Served(server.url, writes)
 
 
 SERVERS = {"pymodbus": pymodbus, "first frame": first_frame}
@@ -103,8 +103,8 @@ def gather(url: str, requests: list[Any]) -> tuple[list[Any], Any]:
 
     async def ask() -> tuple[list[Any], Any]:
         async with AsyncClient(url, unit=UNIT) as plc:
-            asked = [plc.execute(each) for each in requests]
-            return await asyncio.gather(*asked, return_exceptions=True), plc.statistics
+            tasks = [plc.execute(each) for each in requests]
+            return await asyncio.gather(*tasks, return_exceptions=True), plc.statistics
 
     return asyncio.run(ask())
 

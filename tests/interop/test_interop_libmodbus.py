@@ -160,18 +160,18 @@ def c_client_runs(compiled: Callable[[str], Path]) -> Callable[[str], tuple[set[
 def test_c_client_is_content_with_our_server(
     c_client_runs: Callable[[str], tuple[set[str], Device]], transport: str, record_property: Record
 ) -> None:
-    printed, _ = c_client_runs(transport)
-    done = [
+    output, _ = c_client_runs(transport)
+    executed = [
         (case_id("libmodbus", "server", transport, function), f"FC {function} ok")
         for function in C_CLIENT_CALLS
     ]
-    refused = [
+    refusals = [
         (case_id("libmodbus", "server", transport, function, "refused"), f"FC {function} refused")
         for function in C_CLIENT_REFUSALS
     ]
-    for check, line in tried(record_property, done + refused):
+    for check, line in tried(record_property, executed + refusals):
         with check:
-            assert line in printed
+            assert line in output
 
 
 @each_transport
@@ -216,10 +216,10 @@ def compile_example(name: str, port: int, directory: Path) -> Path:
     source = EXAMPLES / f"{name}.c"
     if not source.exists():
         pytest.skip(f"{source} is not there: this system installs no documentation")
-    text, found = EXAMPLE_PORT.subn(
+    text, count = EXAMPLE_PORT.subn(
         f'modbus_new_tcp("127.0.0.1", {port})', source.read_text(encoding="utf-8")
     )
-    assert found == 1
+    assert count == 1
     copy = directory / source.name
     copy.write_text(text, encoding="utf-8")
     return compile_c(copy, directory / name)
@@ -231,9 +231,9 @@ def test_example_client_reports_success_against_our_server(tmp_path: Path) -> No
     device = Device(Mapping(coils=100, holding_registers=100))
     with our_server("tcp", device) as place:
         client = compile_example("random-test-client", place.end.port, tmp_path)
-        done = subprocess.run([client], capture_output=True, text=True, timeout=30)
-        codes = {passed.data[7] for passed in place.wire.passed if passed.sender == "client"}
-    assert "Test: SUCCESS" in done.stdout.splitlines()
-    assert "ERROR" not in done.stdout
-    assert done.returncode == 0
+        process = subprocess.run([client], capture_output=True, text=True, timeout=30)
+        codes = {frame.data[7] for frame in place.wire.passed if frame.sender == "client"}
+    assert "Test: SUCCESS" in process.stdout.splitlines()
+    assert "ERROR" not in process.stdout
+    assert process.returncode == 0
     assert codes == set(EXAMPLE_CODES)

@@ -53,9 +53,9 @@ def mbpoll(
     )
 
 
-def printed_values(done: Polled) -> dict[int, int]:
+def printed_values(process: Polled) -> dict[int, int]:
     """Read its lines like "[100]: 65535 (-1)"."""
-    lines = re.findall(r"^\[(\d+)\]:\s+(\d+)", done.stdout, re.MULTILINE)
+    lines = re.findall(r"^\[(\d+)\]:\s+(\d+)", process.stdout, re.MULTILINE)
     return {int(address): int(value) for address, value in lines}
 
 
@@ -92,10 +92,10 @@ def test_mbpoll_prints_what_our_table_holds(
     transport: str, function: int, table: int, first: int, count: int, value: Callable[[int], int]
 ) -> None:
     with our_server(transport, {UNIT: make_device()}) as place:
-        done = mbpoll(place.end, table, first, count=count)
-        assert (done.returncode, done.stderr) == (0, "")
-        expected = dict(zip(range(first, first + count), cells(value, first, count), strict=True))
-        assert printed_values(done) == expected
+        process = mbpoll(place.end, table, first, count=count)
+        assert (process.returncode, process.stderr) == (0, "")
+        values = dict(zip(range(first, first + count), cells(value, first, count), strict=True))
+        assert printed_values(process) == values
         assert place.function == function
 
 
@@ -119,9 +119,9 @@ def test_mbpoll_writes_into_our_table(
         HOLDING_REGISTERS: device.mapping.holding_registers,
     }
     with our_server(transport, {UNIT: device}) as place:
-        done = mbpoll(place.end, table, first, write=values)
-        assert (done.returncode, done.stderr) == (0, "")
-        assert f"Written {len(values)} references." in done.stdout
+        process = mbpoll(place.end, table, first, write=values)
+        assert (process.returncode, process.stderr) == (0, "")
+        assert f"Written {len(values)} references." in process.stdout
         assert tables[table][first : first + len(values)] == list(values)
         assert place.function == function
 
@@ -143,8 +143,8 @@ def test_mbpoll_says_that_an_address_is_illegal(
     transport: str, function: int, table: int, first: int, write: tuple[int, ...]
 ) -> None:
     with our_server(transport, {UNIT: make_device()}) as place:
-        done = mbpoll(place.end, table, first, write=write)
-        assert done.returncode == 1
-        assert done.stderr.rstrip().endswith("failed: Illegal data address")
-        assert printed_values(done) == {}
+        process = mbpoll(place.end, table, first, write=write)
+        assert process.returncode == 1
+        assert process.stderr.rstrip().endswith("failed: Illegal data address")
+        assert printed_values(process) == {}
         assert place.function == function

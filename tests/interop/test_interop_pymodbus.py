@@ -130,14 +130,14 @@ def asked() -> Iterator[Asked]:
     yield Asked(6, "few", call("write_register", 101, 65535), look=look, seen=[1100, 65535, 1102])
     for name, first, count in (("few", 13, 3), ("most", 11, 1968)):
         other = [not value for value in cells(coil, first, count)]
-        seen: list[Any] = [coil(first - 1), *other, coil(first + count)]
+        content: list[Any] = [coil(first - 1), *other, coil(first + count)]
         look = span("coils", first - 1, first + count + 1)
-        yield Asked(15, name, call("write_coils", first, other), look=look, seen=seen)
+        yield Asked(15, name, call("write_coils", first, other), look=look, seen=content)
     for name, first, count in (("few", 397, 2), ("most", 101, 123)):
-        seen = [holding_register(first - 1), *range(count), holding_register(first + count)]
+        content = [holding_register(first - 1), *range(count), holding_register(first + count)]
         look = span("holding_registers", first - 1, first + count + 1)
         yield Asked(
-            16, name, call("write_registers", first, list(range(count))), look=look, seen=seen
+            16, name, call("write_registers", first, list(range(count))), look=look, seen=content
         )
     yield from asked_of_files()
     yield Asked(
@@ -147,11 +147,11 @@ def asked() -> Iterator[Asked]:
         look=span("holding_registers", 249, 252),
         seen=[1249, 0xA5EF, 1251],
     )
-    for name, count, first, written in (("few", 2, 101, 1), ("most", 125, 104, 121)):
+    for name, count, first, size in (("few", 2, 101, 1), ("most", 125, 104, 121)):
         after = cells(holding_register, 100, 300)
-        after[first - 100 : first - 100 + written] = range(written)
-        given = {"read_address": 100, "read_count": count, "write_address": first}
-        ask = call("readwrite_registers", **given, values=list(range(written)))
+        after[first - 100 : first - 100 + size] = range(size)
+        arguments = {"read_address": 100, "read_count": count, "write_address": first}
+        ask = call("readwrite_registers", **arguments, values=list(range(size)))
         look = span("holding_registers", 100, 400)
         yield Asked(23, name, ask, registers, after[:count], look=look, seen=after)
     yield from asked_beside_the_tables()
@@ -159,11 +159,11 @@ def asked() -> Iterator[Asked]:
 
 def asked_of_files() -> Iterator[Asked]:
     few = [piece_to_read(4, 7, 3), piece_to_read(3, 9, 2)]
-    found = [as_bytes([5007, 5008, 5009]), as_bytes([0x33CD, 0x0040])]
-    yield Asked(20, "few", call("read_file_record", few), pieces, found)
+    records = [as_bytes([5007, 5008, 5009]), as_bytes([0x33CD, 0x0040])]
+    yield Asked(20, "few", call("read_file_record", few), pieces, records)
     # 2 + 242 bytes, the 245 of the specification less the odd one
-    found = [as_bytes(cells(record, 10, 121))]
-    yield Asked(20, "most", call("read_file_record", [piece_to_read(4, 10, 121)]), pieces, found)
+    records = [as_bytes(cells(record, 10, 121))]
+    yield Asked(20, "most", call("read_file_record", [piece_to_read(4, 10, 121)]), pieces, records)
     yield Asked(
         21,
         "few",
@@ -458,9 +458,9 @@ class TestWherePymodbusClientErrs:
     def test_record_length_is_halved_on_the_way(self, transport: str) -> None:
         # record_length is in bytes for it, although the field of the frame is in
         # registers: 4 asks for two registers, and an odd one cannot be asked for.
-        asked = FileRecord(file_number=4, record_number=7, record_length=4)
+        piece = FileRecord(file_number=4, record_number=7, record_length=4)
         with asking(transport) as client:
-            response = client.read_file_record([asked], device_id=UNIT)
+            response = client.read_file_record([piece], device_id=UNIT)
             assert pieces(response) == [as_bytes([5007, 5008])]
         with pytest.raises(ModbusException, match="multiple of 2"):
             FileRecord(file_number=4, record_number=7, record_length=3)

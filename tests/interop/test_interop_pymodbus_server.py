@@ -121,9 +121,9 @@ def test_context_reads_the_identification_of_pymodbus_server(control: Any, trans
     with pymodbus_serving(transport) as url:
         for check, (level, numbers) in each(LEVELS.items()):
             with check, connected(url) as context:
-                found = context.read_device_identification(level)
-                assert found.objects == {number: OBJECTS[number] for number in numbers}
-                assert found.conformity == 0x83
+                identification = context.read_device_identification(level)
+                assert identification.objects == {number: OBJECTS[number] for number in numbers}
+                assert identification.conformity == 0x83
                 with pytest.raises(IllegalDataAddress):
                     context.read_device_identification(5)
 
@@ -173,20 +173,20 @@ class TestWherePymodbusServerErrs:
     ) -> None:
         # It answers, though nobody may, and goes on answering. The answer is held until the
         # client waits no more, and has come before the next request leaves.
-        held: Future[Callable[[], object]] = Future()
+        answer: Future[Callable[[], object]] = Future()
         send = ServerRequestHandler.server_send
 
         def hold(self: ServerRequestHandler, *arguments: Any) -> None:
-            if held.done():
+            if answer.done():
                 send(self, *arguments)
                 return
             loop = asyncio.get_running_loop()
-            held.set_result(partial(loop.call_soon_threadsafe, send, self, *arguments))
+            answer.set_result(partial(loop.call_soon_threadsafe, send, self, *arguments))
 
         monkeypatch.setattr(ServerRequestHandler, "server_send", hold)
         with pymodbus_server(transport) as context:
             assert context.diagnostics(SubFunction.FORCE_LISTEN_ONLY) == 0
-            held.result(30)()
+            answer.result(30)()
             until(context._driver._port.has_input)
             assert context.diagnostics(0, 0xA537) == 0xA537
             assert context.read_coils(12, 1) == [True]
@@ -274,9 +274,9 @@ def test_registers_behind_the_end_are_left_out() -> None:
         counts = []
         for _ in range(4):
             before = plc.statistics.requests
-            found = plc.read_map(points, return_exceptions=True)
+            results = plc.read_map(points, return_exceptions=True)
             counts.append(plc.statistics.requests - before)
-        good = {name: value for name, value in found.items() if isinstance(value, int)}
+        good = {name: value for name, value in results.items() if isinstance(value, int)}
         assert good == {f"r{at}": holding_register(at) for at in range(first, end)}
         assert [each.name for each in plc.unreadable(points)] == [f"r{end + at}" for at in range(3)]
     assert counts[0] <= 1 + 10

@@ -48,12 +48,12 @@ class SServer:
     def wait_for(self, pattern: bytes) -> re.Match[bytes]:
         """Return the text that was printed up to here."""
         assert self._process.stdout is not None
-        while (found := re.search(pattern, self._seen, re.DOTALL)) is None:
+        while (match := re.search(pattern, self._seen, re.DOTALL)) is None:
             data = self._process.stdout.read1(65536)  # type: ignore[attr-defined]
             assert data, self._seen
             self._seen += data
-        self._seen = self._seen[found.end() :]
-        return found
+        self._seen = self._seen[match.end() :]
+        return match
 
     def write(self, data: bytes) -> None:
         assert self._process.stdin is not None
@@ -89,7 +89,7 @@ def answering(server: SServer, commands: list[bytes]) -> None:
 
 @pytest.mark.parametrize("key", ["EC", "RSA"])
 @pytest.mark.parametrize("version", ["tls1_2", "tls1_3"])
-def test_s_server(connect: Connect, pki: Pki, version: str, key: str) -> None:
+def test_clients_talk_with_s_server(connect: Connect, pki: Pki, version: str, key: str) -> None:
     """With changes of keys, asked for (K) and announced (k), where there are such."""
     options = {"key": certificates.rsa_key()} if key == "RSA" else {}
     commands = [b"", b"k", b"K", b"kkKK", b""] if version == "tls1_3" else [b""] * 5
@@ -99,10 +99,10 @@ def test_s_server(connect: Connect, pki: Pki, version: str, key: str) -> None:
         ThreadPoolExecutor() as pool,
         connect(f"tls://127.0.0.1:{server.port}", security=own, timeout=LONG) as plc,
     ):
-        done = pool.submit(answering, server, commands)
+        future = pool.submit(answering, server, commands)
         for each in range(len(commands)):
             assert plc.read_holding_registers(each, 1) == [each]
-        done.result(LONG)
+        future.result(LONG)
         assert plc.statistics.connects == 1
 
 
@@ -147,7 +147,7 @@ def openssl(*arguments: object) -> str:
 
 
 @pytest.mark.parametrize("role", ["Operator", "Prüfer", "x" * 200])
-def test_it_reads_the_role_as_a_utf8string(tmp_path: Path, role: str) -> None:
+def test_openssl_reads_the_role_as_a_utf8string(tmp_path: Path, role: str) -> None:
     files = certificates.save(tmp_path, certificates.client(role), "client")
     parsed = openssl("asn1parse", "-in", files.cert)
     # The identifier, by number for it has no name, and behind it the octets of the extension.
@@ -164,7 +164,7 @@ def test_it_reads_the_role_as_a_utf8string(tmp_path: Path, role: str) -> None:
         assert re.search(rf"{re.escape(ROLE_OID)}: *\n.*{role}\n", text)
 
 
-def test_it_takes_them_strictly_for_both_purposes(tmp_path: Path) -> None:
+def test_openssl_verifies_certificates_strictly_for_both_purposes(tmp_path: Path) -> None:
     ca = certificates.save(tmp_path, certificates.authority(), "ca").cert
     below = certificates.intermediate()
     middle = certificates.save(tmp_path, below, "middle").cert
@@ -178,7 +178,7 @@ def test_it_takes_them_strictly_for_both_purposes(tmp_path: Path) -> None:
             )
 
 
-def test_we_read_the_role_in_what_it_makes(tmp_path: Path) -> None:
+def test_the_role_of_an_openssl_certificate_is_read(tmp_path: Path) -> None:
     openssl(
         *("req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"),
         *("-keyout", tmp_path / "key.pem", "-out", tmp_path / "cert.der", "-outform", "DER"),
@@ -206,9 +206,9 @@ def test_pymodbus_asyncio_client_has_many_requests_in_flight(pki: Pki) -> None:
 
 def test_pymodbus_client_without_a_certificate_gets_no_answer(pki: Pki) -> None:
     with our_tls_server(pki, {UNIT: make_device()}) as wire:
-        told = context(pki)
-        told.check_hostname = False  # its blocking client does not tell ssl whom it wants
-        client = ModbusTlsClient("127.0.0.1", port=wire.port, sslctx=told, timeout=1, retries=0)
+        context_ = context(pki)
+        context_.check_hostname = False  # its blocking client does not tell ssl whom it wants
+        client = ModbusTlsClient("127.0.0.1", port=wire.port, sslctx=context_, timeout=1, retries=0)
         try:
             assert client.connect()  # TLS 1.3: the refusal comes behind its handshake
             with pytest.raises((ssl.SSLError, OSError)):
@@ -244,7 +244,7 @@ def test_openssl_s_client_carries_requests_and_a_role(pki: Pki, version: str) ->
             process.stdin.write(adu(bytes.fromhex("03 0064 000a")))
             process.stdin.flush()
             values = b"".join(value.to_bytes(2, "big") for value in range(1000, 1010))
-            expected = adu(bytes([3, 20]) + values)
-            assert process.stdout.read(len(expected)) == expected
+            response = adu(bytes([3, 20]) + values)
+            assert process.stdout.read(len(response)) == response
             process.kill()
     assert roles == ["Überwacher"]

@@ -53,7 +53,7 @@ ASKED: dict[int, tuple[Any, Any]] = {
 }
 
 
-def ask(pki: Pki, port: int, asked: Any, version: ssl.TLSVersion) -> Any:
+def ask(pki: Pki, port: int, request: Any, version: ssl.TLSVersion) -> Any:
     async def run() -> Any:
         client = tmodbus.create_async_tcp_client(
             "127.0.0.1",
@@ -64,7 +64,7 @@ def ask(pki: Pki, port: int, asked: Any, version: ssl.TLSVersion) -> Any:
             ssl=context(pki, certificates.client(), version),
         )
         async with client:
-            return await asked(client)
+            return await request(client)
 
     return asyncio.run(run())
 
@@ -74,13 +74,13 @@ def ask(pki: Pki, port: int, asked: Any, version: ssl.TLSVersion) -> Any:
     "function", [pytest.param(each, id=case_id("tmodbus", "server", "tls", each)) for each in ASKED]
 )
 def test_its_client_and_our_server_agree(pki: Pki, function: int, version: ssl.TLSVersion) -> None:
-    asked, expected = ASKED[function]
+    request, result = ASKED[function]
     with our_tls_server(pki, {UNIT: make_device()}) as wire:
-        assert ask(pki, wire.port, asked, version) == expected
+        assert ask(pki, wire.port, request, version) == result
 
 
 @contextlib.contextmanager
-def its_server(pki: Pki, seen: list[str | None]) -> Iterator[int]:
+def its_server(pki: Pki, roles: list[str | None]) -> Iterator[int]:
     """It answers reads with their addresses to an operator, and refuses all others."""
     from tmodbus.exceptions import IllegalFunctionError
     from tmodbus.pdu import ReadHoldingRegistersPDU, WriteMultipleRegistersPDU
@@ -90,8 +90,8 @@ def its_server(pki: Pki, seen: list[str | None]) -> Iterator[int]:
     router = ModbusRequestRouter()
 
     def check(request: Any, context: Any) -> None:
-        seen.append(extract_modbus_role(context.client_cert))
-        if seen[-1] != "Operator":
+        roles.append(extract_modbus_role(context.client_cert))
+        if roles[-1] != "Operator":
             raise IllegalFunctionError(request.function_code)
 
     @router.register(ReadHoldingRegistersPDU)
@@ -105,14 +105,14 @@ def its_server(pki: Pki, seen: list[str | None]) -> Iterator[int]:
         return len(request.values)
 
     files = pki.files(certificates.server())
-    told = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=str(pki.ca))
-    told.load_cert_chain(files.cert, files.key)
-    told.verify_mode = ssl.CERT_REQUIRED
+    tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=str(pki.ca))
+    tls.load_cert_chain(files.cert, files.key)
+    tls.verify_mode = ssl.CERT_REQUIRED
     started: Future[tuple[int, Any]] = Future()
 
     async def serve() -> None:
         stopped = asyncio.Event()
-        server = AsyncTcpServer("127.0.0.1", router, port=0, ssl_context=told)
+        server = AsyncTcpServer("127.0.0.1", router, port=0, ssl_context=tls)
         await server.start()
         loop = asyncio.get_running_loop()
         port = server._server.sockets[0].getsockname()[1]
@@ -131,8 +131,8 @@ def its_server(pki: Pki, seen: list[str | None]) -> Iterator[int]:
 
 
 def test_our_context_and_its_server_agree(pki: Pki) -> None:
-    seen: list[str | None] = []
-    with its_server(pki, seen) as port:
+    roles: list[str | None] = []
+    with its_server(pki, roles) as port:
         url = f"tls://127.0.0.1:{port}?unit={UNIT}&timeout={TIMEOUT}"
         for _ in range(2):
             with Client(url, security=pki.client()) as plc:
@@ -144,11 +144,11 @@ def test_our_context_and_its_server_agree(pki: Pki) -> None:
         stranger = pki.security(certificates.client(issuer=certificates.foreign_authority()))
         with Client(url, security=stranger) as plc, pytest.raises(ModbusConnectionError):
             plc.read_holding_registers(100, 1)
-    assert seen == ["Operator"] * 4 + ["Guest"]
+    assert roles == ["Operator"] * 4 + ["Guest"]
 
 
 def test_our_asyncio_client_and_its_server_agree(pki: Pki) -> None:
-    seen: list[str | None] = []
+    roles: list[str | None] = []
 
     async def read(port: int) -> list[list[int]]:
         url = f"tls://127.0.0.1:{port}?unit={UNIT}&timeout={TIMEOUT}"
@@ -156,6 +156,6 @@ def test_our_asyncio_client_and_its_server_agree(pki: Pki) -> None:
             reads = (plc.read_holding_registers(first, 2) for first in range(40))
             return await asyncio.gather(*reads)
 
-    with its_server(pki, seen) as port:
+    with its_server(pki, roles) as port:
         assert asyncio.run(read(port)) == [[first, first + 1] for first in range(40)]
-    assert seen == ["Operator"] * 40
+    assert roles == ["Operator"] * 40

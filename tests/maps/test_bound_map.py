@@ -24,32 +24,32 @@ def device() -> Device:
     return Device.of_map(MAP, {"voltage L1": 230.5, "setpoint": 20})
 
 
-def test_a_blocking_client() -> None:
-    served = device()
-    with Server(served).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
+def test_a_bound_map_reads_and_writes_with_a_blocking_client() -> None:
+    device_ = device()
+    with Server(device_).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
         meter = MAP.bind(plc, gap=4)
         assert meter.read() is None
         assert (meter.voltage_L1, meter.setpoint, meter.read_) == (230.5, 20, False)
         assert meter["voltage L1"] == 230.5
         assert meter.write(setpoint=21.5, read_=True, key=True) is None
-        assert (served["setpoint"], served["read"], served["key"]) == (21.5, True, True)
+        assert (device_["setpoint"], device_["read"], device_["key"]) == (21.5, True, True)
         assert meter.setpoint == 20
         meter.read("setpoint")
         assert meter.setpoint == 21.5
         assert {"voltage_L1", "setpoint", "read_", "read", "write"} <= set(dir(meter))
 
 
-async def test_an_awaiting_client() -> None:
-    served = device()
+async def test_a_bound_map_reads_and_writes_with_an_asyncio_client() -> None:
+    device_ = device()
     async with (
-        Server(served).serving("tcp://127.0.0.1:0") as running,
+        Server(device_).serving("tcp://127.0.0.1:0") as running,
         AsyncClient(running.urls[0]) as plc,
     ):
         meter = MAP.bind(plc)
         await meter.read()
         assert meter.voltage_L1 == 230.5
         await meter.write(setpoint=21.5)
-        assert (served["setpoint"], meter.setpoint) == (21.5, 20)
+        assert (device_["setpoint"], meter.setpoint) == (21.5, 20)
         await asyncio.gather(meter.read("setpoint"), meter.read("read_"))
         assert meter.setpoint == 21.5
         reading = asyncio.ensure_future(meter.read())
@@ -102,7 +102,7 @@ class NoClient:
         (lambda meter: meter._nothing, AttributeError, "_nothing"),
     ],
 )
-def test_wrong_names_are_told_before_anything_is_sent(use, error, message) -> None:
+def test_wrong_names_are_refused_before_anything_is_sent(use, error, message) -> None:
     with pytest.raises(error, match=message):
         use(MAP.bind(NoClient()))
 
@@ -112,7 +112,7 @@ def test_what_is_no_client_is_refused() -> None:
         MAP.bind("tcp://192.0.2.10")  # type: ignore[arg-type]
 
 
-def test_copies() -> None:
+def test_a_copy_of_a_bound_map_keeps_its_values() -> None:
     meter = MAP.bind(NoClient())
     meter._values["setpoint"] = 3
     assert copy.copy(meter).setpoint == 3

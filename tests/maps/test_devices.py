@@ -17,12 +17,12 @@ TABLES = {1: "coils", 2: "discrete_inputs", 3: "holding_registers", 4: "input_re
 
 
 def answers_of(path: Path) -> list[dict[str, Any]]:
-    given = tomllib.loads(path.read_text())
-    assert set(given) == {"map", "answers", "answer"}, f"{path}: keys map, answers and [[answer]]"
-    assert given["map"] == path.stem, f"{path}: named for its map"
-    assert re.match(r"(recorded|computed) ", given["answers"]), f"{path}: answers says of what"
-    found: list[dict[str, Any]] = given["answer"]
-    return found
+    table = tomllib.loads(path.read_text())
+    assert set(table) == {"map", "answers", "answer"}, f"{path}: keys map, answers and [[answer]]"
+    assert table["map"] == path.stem, f"{path}: named for its map"
+    assert re.match(r"(recorded|computed) ", table["answers"]), f"{path}: answers says of what"
+    answers: list[dict[str, Any]] = table["answer"]
+    return answers
 
 
 def cells_of(answer: dict[str, Any]) -> tuple[str, int, list[int]]:
@@ -35,18 +35,18 @@ def cells_of(answer: dict[str, Any]) -> tuple[str, int, list[int]]:
 def test_answers_mean_what_the_file_says(path: Path) -> None:
     """Read by its map from a server that gives these answers, each point has its value."""
     tables: dict[str, dict[int, list[int]]] = {}
-    expected: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for answer in answers_of(path):
         table, address, cells = cells_of(answer)
         tables.setdefault(table, {})[address] = cells
-        expected |= answer["values"] | dict.fromkeys(answer.get("missing", []))
+        values |= answer["values"] | dict.fromkeys(answer.get("missing", []))
     points = load_map(example_files.map_file(path.stem))
     with ServerMaker() as maker:
         server = maker(devices=Device(Mapping(**tables)))  # type: ignore[arg-type]
         with Client(server.url) as plc:
-            found = plc.read_map(points)
-    assert found == expected
-    assert set(expected) == {name for name, point in points.items() if point.is_readable}
+            results = plc.read_map(points)
+    assert results == values
+    assert set(values) == {name for name, point in points.items() if point.is_readable}
 
 
 @each_case("path", DEVICES)
@@ -55,12 +55,12 @@ def test_a_map_names_its_sources_and_whether_it_was_tried(path: Path) -> None:
     assert not contents.mistakes
     lines = Path(example_files.map_file(path.stem)).read_text().splitlines()
     comment = " ".join(line.strip("# ") for line in lines if line.startswith("#"))
-    found = re.search(r"Sources: (.*?)\. .*?Tried on: (.+)\.$", comment)
-    assert found is not None, "a comment has 'Sources: ...; ....' and at last 'Tried on: ....'"
-    assert len(found[1].split("; ")) >= 2, "two sources that agree, with ; between them"
+    match = re.search(r"Sources: (.*?)\. .*?Tried on: (.+)\.$", comment)
+    assert match is not None, "a comment has 'Sources: ...; ....' and at last 'Tried on: ....'"
+    assert len(match[1].split("; ")) >= 2, "two sources that agree, with ; between them"
 
 
 def test_each_map_of_a_device_has_answers() -> None:
-    """All maps that come with the package, but for the one that the documentation made up."""
+    """All maps that come with the package, but for the one that the tableation made up."""
     assert {path.stem for path in DEVICES} == set(example_files.maps()) - {"meter"}
     assert len(DEVICES) >= 20

@@ -44,9 +44,9 @@ def test_items_without_a_hole_have_their_values(items, gap, missing, lost_ones, 
         polls.device.asked.clear()
         count, values = polls.poll()
         spans = [range(first, first + size) for first, size in polls.device.asked]
-        refused = [name for name, value in values.items() if isinstance(value, ModbusError)]
-        assert refused == polls.unreadable == lost_ones
-        for name in values.keys() - refused:
+        names = [name for name, value in values.items() if isinstance(value, ModbusError)]
+        assert names == polls.unreadable == lost_ones
+        for name in values.keys() - names:
             cells = plan._reads[name].cells
             assert values[name] == plan._reads[name].decode(list(cells))
             assert any(cells[0] in each and cells[-1] in each for each in spans), "torn"
@@ -132,7 +132,7 @@ def test_short_requests_only_cost_no_point(most: int) -> None:
     assert count <= 2 * (300 // most + 2)
 
 
-def test_holes_side_by_side_are_told_together() -> None:
+def test_holes_side_by_side_are_one_range() -> None:
     polls = Polls(singles(20), Registers([3, 4, 9]))
     polls.poll()
     assert [each.split(" (")[0] for each in polls.news] == [
@@ -144,8 +144,8 @@ def test_holes_side_by_side_are_told_together() -> None:
 def test_a_hole_is_tried_again_every_ten_minutes() -> None:
     polls = Polls(singles(20), Registers([5]))
     polls.poll(0)
-    tried = [now for now in range(1, 2000) if polls.poll(now)[0] > 2]
-    assert tried == [600, 1200, 1800]
+    times = [now for now in range(1, 2000) if polls.poll(now)[0] > 2]
+    assert times == [600, 1200, 1800]
     assert len(polls.news) == 1
 
 
@@ -159,7 +159,7 @@ def test_each_run_tries_one_hole_again() -> None:
         assert polls.device.asked.count((hole, 1)) == 1
 
 
-def test_what_can_be_read_again_is_read_at_once() -> None:
+def test_a_hole_that_answers_is_read_at_once() -> None:
     polls = Polls(singles(20), Registers([5, 9, 13]))
     polls.poll(0)
     polls.device.missing = {13}

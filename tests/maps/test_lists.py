@@ -135,32 +135,32 @@ def written(folder: Path, text: str, encoding: str = "utf-8") -> Path:
     return path
 
 
-@each_case(("text", "said", "named", "registers"), LISTS)
-def test_a_list_gives_the_values_of_its_origin(tmp_path, text, said, named, registers) -> None:
-    map = load_map(written(tmp_path, text, said.get("encoding", "utf-8")), **said)
+@each_case(("text", "options", "names", "registers"), LISTS)
+def test_a_list_gives_the_values_of_its_origin(tmp_path, text, options, names, registers) -> None:
+    map = load_map(written(tmp_path, text, options.get("encoding", "utf-8")), **options)
     for name, cells, value in registers:
         assert map[name].decode(cells) == value, name
-    assert len(said) <= 3
+    assert len(options) <= 3
 
 
-@each_case(("text", "said", "named", "registers"), LISTS)
-def test_each_option_is_named_by_a_message(tmp_path, text, said, named, registers) -> None:
-    path = written(tmp_path, text, said.get("encoding", "utf-8"))
+@each_case(("text", "options", "names", "registers"), LISTS)
+def test_each_option_is_named_by_a_message(tmp_path, text, options, names, registers) -> None:
+    path = written(tmp_path, text, options.get("encoding", "utf-8"))
     messages = []
-    for name in ("nothing", *said):
-        less = {key: value for key, value in said.items() if key != name} if name in said else {}
+    for name in ("nothing", *options):
+        less = {key: options[key] for key in options if key != name} if name in options else {}
         try:
             load_map(path, **less)
         except MapError as error:
             messages.append(str(error))
-    for option in named:
+    for option in names:
         assert any(option in message for message in messages), (option, messages)
 
 
 def test_addresses_tables_and_accesses_of_lists(tmp_path: Path) -> None:
-    def of(name: str, **said: Any) -> list[tuple[str, int, str]]:
+    def of(name: str, **options: Any) -> list[tuple[str, int, str]]:
         points = load_map(
-            written(tmp_path, TEXTS[name], said.get("encoding", "utf-8")), **said
+            written(tmp_path, TEXTS[name], options.get("encoding", "utf-8")), **options
         ).values()
         return [(point.table, point.address, str(point.access)) for point in points]
 
@@ -277,9 +277,9 @@ MEANINGS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
 ]
 
 
-@each_case(("text", "said", "arguments"), MEANINGS)
-def test_an_option_says_what_is_meant(tmp_path, text, said, arguments) -> None:
-    (point,) = load_map(written(tmp_path, text), **said).values()
+@each_case(("text", "options", "arguments"), MEANINGS)
+def test_an_option_says_what_is_meant(tmp_path, text, options, arguments) -> None:
+    (point,) = load_map(written(tmp_path, text), **options).values()
     assert {name: getattr(point, name) for name in arguments} == arguments
 
 
@@ -307,7 +307,7 @@ def test_an_origin_is_known_by_all_of_its_headings(tmp_path: Path) -> None:
         load_map(written(tmp_path, TEXTS["nibe_f"].replace("Default;", "Usual;")))
 
 
-def test_names_that_repeat_are_told(tmp_path: Path) -> None:
+def test_names_that_repeat_get_their_address(tmp_path: Path) -> None:
     contents = contents_of(written(tmp_path, TEXTS["nibe_f"]), 1, ListOptions(origin="nibe"))
     assert "names that occur twice have their address behind: 8, 9" in contents.notes
 
@@ -326,7 +326,7 @@ WORDS = {
 
 
 @each_case("type", list(WORDS))
-def test_words_of_types(tmp_path: Path, type: str) -> None:
+def test_words_for_types_in_lists_are_understood(tmp_path: Path, type: str) -> None:
     for word in WORDS[type].split():
         (point,) = load_map(written(tmp_path, f"{HEAD}\na,holding,0,{word}\n")).values()
         assert (point.type, point.order, point.byte) == (type, "ABCD", None), word
@@ -405,7 +405,7 @@ def test_merged_cells_stand_in_each_of_their_rows(tmp_path: Path) -> None:
     ]
 
 
-def test_what_is_no_spreadsheet(tmp_path: Path) -> None:
+def test_a_broken_spreadsheet_is_refused(tmp_path: Path) -> None:
     (tmp_path / "list.xlsx").write_bytes(b"PK\x03\x04 broken")
     with pytest.raises(MapError, match=r"list\.xlsx: is no spreadsheet"):
         load_map(tmp_path / "list.xlsx")
@@ -446,9 +446,9 @@ def test_a_list_is_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
     path, output = written(tmp_path, TEXTS["modpoll"]), tmp_path / "map.toml"
     assert main(["map", "import", str(path), "--from", "modpoll", "-o", str(output)]) == 1
-    said = capsys.readouterr().err.splitlines()
-    assert said[0] == f"{output}: 3 points, 1 left out"
-    assert said[-1].startswith("  left out: line 4, column type: ")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == f"{output}: 3 points, 1 left out"
+    assert lines[-1].startswith("  left out: line 4, column type: ")
     assert list(load_map(output).values()) == list(
         contents_of(path, 9, ListOptions(origin="modpoll")).points.values()
     )

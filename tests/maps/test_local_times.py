@@ -47,15 +47,15 @@ MOMENTS = st.datetimes(datetime(2000, 1, 3), datetime(2090, 1, 1), timezones=st.
     type=st.sampled_from(TYPES),
     zone=st.sampled_from([BERLIN, "UTC", "Pacific/Chatham", "America/St_Johns", "Asia/Tokyo"]),
 )
-def test_what_is_written_comes_back(time: datetime, type: str, zone: str) -> None:
+def test_times_in_any_zone_come_back(time: datetime, type: str, zone: str) -> None:
     time = time.replace(microsecond=0)
     point = clock(type, zone)
-    found = point.decode(point.encode(time))
+    result = point.decode(point.encode(time))
     # Only a time that its zone has twice comes back as the other one: the first.
     local = time.astimezone(ZoneInfo(zone))
     is_second = local.fold == 1 and type != "iec870"
     first = local.replace(fold=0).astimezone(UTC)
-    assert found == (first if is_second else time)
+    assert result == (first if is_second else time)
 
 
 def test_values_that_mean_none_are_those_of_the_registers() -> None:
@@ -65,7 +65,7 @@ def test_values_that_mean_none_are_those_of_the_registers() -> None:
     assert point.decode([0, 7200]) == datetime(1970, 1, 1, 1, tzinfo=UTC)
 
 
-def test_several_times() -> None:
+def test_points_of_several_times_come_back() -> None:
     point = clock(count=2)
     moments = [datetime(2024, 1, 1, hour, tzinfo=UTC) for hour in (0, 1)]
     assert point.decode(point.encode(moments)) == moments

@@ -45,9 +45,9 @@ SUNSPEC = [
 
 @each_case(("type", "cells"), SUNSPEC)
 def test_not_implemented_of_sunspec_is_no_value(type: str, cells: list[int]) -> None:
-    made = point(type=type, missing="sunspec")
-    assert made.judge(cells) == MISSING
-    assert made.decode([0x4100] + [0x4101] * (len(cells) - 1)) is not None
+    point_ = point(type=type, missing="sunspec")
+    assert point_.judge(cells) == MISSING
+    assert point_.decode([0x4100] + [0x4101] * (len(cells) - 1)) is not None
 
 
 # Keys of a point, its cells, and what they mean.
@@ -133,10 +133,10 @@ MEANT = [
 
 
 @each_case(("keys", "cells", "judged"), MEANT)
-def test_cells_mean_values(keys: dict[str, Any], cells: list[Any], judged: Judged) -> None:
-    made = point(**keys)
-    assert made.judge(cells) == judged
-    assert made.decode(cells) == judged.value
+def test_cells_are_judged_decoded(keys: dict[str, Any], cells: list[Any], judged: Judged) -> None:
+    point_ = point(**keys)
+    assert point_.judge(cells) == judged
+    assert point_.decode(cells) == judged.value
 
 
 @given(st.integers(0, 0xFFFF_FFFF))
@@ -163,13 +163,13 @@ def test_a_plan_means_the_same_as_its_points() -> None:
         cells += some
     plan = RegisterMap(points).plan()
     answers = [cells[each.address : each.address + each.count] for each in plan.requests]  # type: ignore[attr-defined]
-    wanted = {f"p{at}": judged for at, (_, _, judged) in enumerate(cases)}
-    assert plan.results(answers) == {name: judged.value for name, judged in wanted.items()}
-    told = plan.results(answers, return_exceptions=True)
-    reasons = {name: each.reason for name, each in told.items() if isinstance(each, NoValue)}
-    assert reasons == {name: each.reason for name, each in wanted.items() if each.quality == "bad"
+    verdicts = {f"p{at}": judged for at, (_, _, judged) in enumerate(cases)}
+    assert plan.results(answers) == {name: judged.value for name, judged in verdicts.items()}
+    results = plan.results(answers, return_exceptions=True)
+    reasons = {name: each.reason for name, each in results.items() if isinstance(each, NoValue)}
+    assert reasons == {name: each.reason for name, each in verdicts.items() if each.quality == "bad"
                        and each.value is None}  # fmt: skip
-    assert str(told["p0"]) == "p0 has no value: the device says 65535"
+    assert str(results["p0"]) == "p0 has no value: the device says 65535"
 
 
 SCALED = RegisterMap(
@@ -187,8 +187,8 @@ SCALED = RegisterMap(
 
 def scaled(cells: list[int], names: list[str] | None = None, **options: Any) -> dict[str, Any]:
     plan = SCALED.plan(names)
-    given = [cells[each.address : each.address + each.count] for each in plan.requests]  # type: ignore[attr-defined]
-    return plan.results(given, **options)
+    answers = [cells[each.address : each.address + each.count] for each in plan.requests]  # type: ignore[attr-defined]
+    return plan.results(answers, **options)
 
 
 def test_a_point_scales_others() -> None:
@@ -200,7 +200,7 @@ def test_a_point_scales_others() -> None:
     assert repr(scaled([2305, 0, 7, 0, 9, 40, 3, 20])["v"]) == "2305"
 
 
-def test_what_scales_is_read_along() -> None:
+def test_the_scale_is_read_along() -> None:
     plan = SCALED.plan(["far"])
     read = [(each.address, each.count) for each in plan.requests]  # type: ignore[attr-defined]
     assert read == [(3, 1), (6, 2)]
@@ -220,10 +220,10 @@ EXPONENTS = [
 
 @each_case(("cell", "reason"), EXPONENTS)
 def test_no_value_without_a_scale(cell: int, reason: str) -> None:
-    found = scaled([5, 0, 7, cell, 9, 40, 3, 20], return_exceptions=True)
-    assert str(found["v"]) == reason
-    assert found["v"].reason == found["w"].reason == found["far"].reason == "BadScale"
-    assert found["energy"] == 180
+    results = scaled([5, 0, 7, cell, 9, 40, 3, 20], return_exceptions=True)
+    assert str(results["v"]) == reason
+    assert results["v"].reason == results["w"].reason == results["far"].reason == "BadScale"
+    assert results["energy"] == 180
     assert scaled([5, 0, 7, cell, 9, 40, 3, 20])["v"] is None
 
 
@@ -304,34 +304,34 @@ def told(request: Any) -> tuple[int, ...]:
 
 
 @each_case(("values", "requests"), WRITES)
-def test_what_is_written(values: dict[str, Any], requests: list[tuple[int, ...]]) -> None:
+def test_parts_are_masked_or_whole(values: dict[str, Any], requests: list[tuple[int, ...]]) -> None:
     assert [told(each) for each in PARTS.writes(values)] == requests
 
 
-def test_what_cannot_be_written(refused: Refused) -> None:
+def test_writes_of_parts_that_are_impossible_are_refused(refused: Refused) -> None:
     refused("wrong_writes.txt", PARTS.writes)
 
 
 @given(st.integers(0, 0xFFFF), st.integers(0, 15), st.integers(0, 15), st.booleans())
-def test_parts_come_back(cell: int, first: int, last: int, signed: bool) -> None:
+def test_parts_of_registers_come_back(cell: int, first: int, last: int, signed: bool) -> None:
     first, last = sorted((first, last))
-    made = point(bit=f"{first}..{last}", type="int16" if signed else "uint16")
-    value = made.decode([cell])
-    change = made.change(value)
+    point_ = point(bit=f"{first}..{last}", type="int16" if signed else "uint16")
+    value = point_.decode([cell])
+    change = point_.change(value)
     assert change.masks is not None
     (bits,), (mask,) = change
     assert cell & mask == bits
     assert mask == sum(1 << at for at in range(first, last + 1))
-    assert made.decode(made.encode(value)) == value
+    assert point_.decode(point_.encode(value)) == value
 
 
 @given(st.integers(0, 0xFFFFFFFF), st.sampled_from(["ABCD", "CDAB", "BADC", "DCBA"]))
 def test_named_bits_come_back(number: int, order: str) -> None:
     names: dict[int | str, str] = {0: "a", "1..15": "b", 16: "c", "17..31": "d"}
-    made = point(type="uint32", order=order, bits=names)
+    point_ = point(type="uint32", order=order, bits=names)
     cells = point(type="uint32", order=order).encode(number)
-    assert made.encode(made.decode(cells)) == cells
-    assert made.change(made.decode(cells)).masks == [0xFFFF, 0xFFFF]
+    assert point_.encode(point_.decode(cells)) == cells
+    assert point_.change(point_.decode(cells)).masks == [0xFFFF, 0xFFFF]
 
 
 class Counting(Mapping[str, Point]):

@@ -79,10 +79,10 @@ REQUESTS: list[tuple[list[Any], dict[str, Any], list[tuple[str, int, int]]]] = [
 ]
 
 
-@each_case(("items", "options", "expected"), REQUESTS)
-def test_requests(items: Any, options: Any, expected: list[tuple[str, int, int]]) -> None:
+@each_case(("items", "options", "requests"), REQUESTS)
+def test_items_become_reads(items: Any, options: Any, requests: list[tuple[str, int, int]]) -> None:
     plan = Plan(items, **options)
-    assert [(table, cells[0], len(cells)) for table, cells in spans(plan)] == expected
+    assert [(table, cells[0], len(cells)) for table, cells in spans(plan)] == requests
     reads = [Read(*item) for item in items]
     if all(read.type is None for read in reads):
         assert plan.results(answers(plan)) == [
@@ -144,22 +144,22 @@ def test_results_are_made_anew_each_time() -> None:
 
 
 def test_bad_argument_is_named(refused: Refused) -> None:
-    refused("wrong_plans.txt", lambda given: Plan(given[0], **given[1]))
+    refused("wrong_plans.txt", lambda case: Plan(case[0], **case[1]))
     with pytest.raises(TypeError, match="items must be a list"):
         Plan(Read("coils", 1))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
-    ("given", "named"),
+    ("results", "message"),
     [
         ([], "one for each of 2 requests, not 0"),
         ([[True], [True], [True]], "one for each of 2 requests, not 3"),
         ([[True], [True]], r"answers\[1\] must hold 2 values, not 1"),
     ],
 )
-def test_answers_to_other_requests_are_refused(given: Any, named: str) -> None:
-    with pytest.raises(ValueError, match=named):
-        Plan([("coils", 0), ("coils", 5, 2)]).results(given)
+def test_answers_to_other_requests_are_refused(results: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Plan([("coils", 0), ("coils", 5, 2)]).results(results)
 
 
 def test_data_that_is_no_value_takes_no_other_along() -> None:
@@ -169,14 +169,14 @@ def test_data_that_is_no_value_takes_no_other_along() -> None:
         "name": ("holding_registers", 3, 1, "string:2"),
         "clock": ("holding_registers", 4, 1, "date48"),
     })  # fmt: skip
-    found = plan.results([[0x00FF, 0x0012, 0xA000, 0x80FF, 0, 0, 0]])
-    assert found["two"] == [12, None]
-    assert {name: (type(each), each.reason) for name, each in found.items() if name != "two"} == {
+    results = plan.results([[0x00FF, 0x0012, 0xA000, 0x80FF, 0, 0, 0]])
+    assert results["two"] == [12, None]
+    assert {name: (type(each), each.reason) for name, each in results.items() if name != "two"} == {
         "total": (NoValue, "InvalidData"),
         "name": (NoValue, "InvalidData"),
         "clock": (NoValue, "InvalidTime"),
     }
-    assert str(found["total"]) == "items['total'] has no value: 00FF has digits other than 0..9"
+    assert str(results["total"]) == "items['total'] has no value: 00FF has digits other than 0..9"
     with pytest.raises(ValueError, match=r"registers\[0\] must be in 0\.\.65535, not 65536"):
         plan.results([[0, 65536, 0, 0, 0, 0, 0]])
 
@@ -239,11 +239,11 @@ SIZES = {None: 1, "float32": 2, "int64": 4, "string:5": 3}
 
 @st.composite
 def any_items(draw: st.DrawFn) -> list[Read]:
-    made = []
+    items = []
     for _ in range(draw(st.integers(0, 8))):
         table = draw(st.sampled_from(["coils", "holding_registers"]))
         kinds = [None] if table == "coils" else list(SIZES)
-        made.append(
+        items.append(
             Read(
                 table,
                 draw(st.integers(0, 40)),
@@ -251,16 +251,16 @@ def any_items(draw: st.DrawFn) -> list[Read]:
                 draw(st.sampled_from(kinds)),
             )
         )
-    return made
+    return items
 
 
 def cells_of(read: Read) -> range:
     return range(read.address, read.address + read.count * SIZES[read.type])
 
 
-def fewest(reads: list[Read], limit: int, gap: int, closed: set[int], borders: set[int]) -> int:
+def fewest(reads: list[Read], limit: int, gap: int, forbidden: set[int], borders: set[int]) -> int:
     """Try the ends of each request: what must stay together, and where one must begin."""
-    wanted = {address for read in reads for address in cells_of(read)}
+    addresses = {address for read in reads for address in cells_of(read)}
     together = []
     for read in reads:
         cells = cells_of(read)
@@ -269,10 +269,10 @@ def fewest(reads: list[Read], limit: int, gap: int, closed: set[int], borders: s
         together += [(at, at + step) for at in range(cells.start, cells.stop, step)]
 
     def allowed(start: int, stop: int) -> bool:
-        edges = [start - 1, *sorted(wanted & set(range(start, stop))), stop]
+        edges = [start - 1, *sorted(addresses & set(range(start, stop))), stop]
         holes = max(second - first - 1 for first, second in pairwise(edges))
         crossed = borders & set(range(start + 1, stop))
-        return holes <= gap and not closed & set(range(start, stop)) and not crossed
+        return holes <= gap and not forbidden & set(range(start, stop)) and not crossed
 
     count = 0
     while together:
@@ -280,10 +280,10 @@ def fewest(reads: list[Read], limit: int, gap: int, closed: set[int], borders: s
         stops = [
             stop
             for stop in range(start + 1, start + limit + 1)
-            if stop - 1 in wanted and allowed(start, stop)
+            if stop - 1 in addresses and allowed(start, stop)
         ]
-        left = [[each for each in together if each[0] < start or each[1] > stop] for stop in stops]
-        together = min(left, key=len)
+        rest = [[each for each in together if each[0] < start or each[1] > stop] for stop in stops]
+        together = min(rest, key=len)
         count += 1
     return count
 
@@ -301,21 +301,21 @@ def test_plan_of_any_items(
     borders -= {
         at for read in reads for at in cells_of(read) if (at - read.address) % SIZES[read.type]
     }
-    asked = {
+    addresses = {
         table: {at for read in reads if read.table == table for at in cells_of(read)}
         for table in ("coils", "holding_registers")
     }
-    hidden = {table: closed - cells for table, cells in asked.items()}
+    hidden = {table: closed - cells for table, cells in addresses.items()}
     plan = Plan(
         reads,
         gap=gap,
         forbidden=[(table, range(at, at + 1)) for table, cells in hidden.items() for at in cells],
         max_registers=limit,
         max_bits=limit,
-        borders=[(table, at) for table in asked for at in borders],
+        borders=[(table, at) for table in addresses for at in borders],
     )
 
-    for table, cells in asked.items():
+    for table, cells in addresses.items():
         requests = [span for name, span in spans(plan) if name == table]
         assert requests == sorted(requests, key=lambda span: span.start)
         for span in requests:
@@ -330,9 +330,9 @@ def test_plan_of_any_items(
         most = sum(-(-read.count // (limit // SIZES[read.type])) for read in own)
         assert len(requests) <= most + len(borders) * len(own)
 
-    for read, found in zip(reads, plan.results(answers(plan)), strict=True):
+    for read, result in zip(reads, plan.results(answers(plan)), strict=True):
         registers = [cell(read.table, at) for at in cells_of(read)]
-        assert repr(found) == repr(decoded(read, registers))
+        assert repr(result) == repr(decoded(read, registers))
         is_whole = len(registers) <= limit and not borders & set(cells_of(read)[1:])
         step = len(registers) if is_whole else SIZES[read.type]
         for at in range(read.address, read.address + len(registers), step):
@@ -348,8 +348,8 @@ def decoded(read: Read, registers: list[Any]) -> list[Any]:
 
 @pytest.fixture
 def context(url: str) -> Iterator[Client]:
-    with Client(url, unit=UNIT) as made:
-        yield made
+    with Client(url, unit=UNIT) as client:
+        yield client
 
 
 def test_read_many_is_refused_as_a_whole_or_in_part(context: Client) -> None:
@@ -358,9 +358,9 @@ def test_read_many_is_refused_as_a_whole_or_in_part(context: Client) -> None:
         context.read_many(items, gap=2)
     with pytest.raises(IllegalDataAddress, match=r"address=99, count=1"):
         context.read_many(items, gap=2, forbidden=[("holding_registers", range(100, 102))])
-    valves, refused, level = context.read_many(items, return_exceptions=True)
+    valves, refusal, level = context.read_many(items, return_exceptions=True)
     assert (valves, level) == ([True, False], [1002])
-    assert isinstance(refused, IllegalDataAddress)
+    assert isinstance(refusal, IllegalDataAddress)
 
 
 def test_gaps_are_on_the_wire() -> None:

@@ -50,16 +50,16 @@ READ = [
 
 @each_case(("keys", "cells", "value"), READ)
 def test_cells_stand_for_values(keys: dict[str, Any], cells: list[Any], value: Any) -> None:
-    made = point(**keys)
-    assert repr(made.decode(cells)) == repr(value)
-    assert len(made.cells) == len(cells)
-    assert made.encode(value) == cells
+    point_ = point(**keys)
+    assert repr(point_.decode(cells)) == repr(value)
+    assert len(point_.cells) == len(cells)
+    assert point_.encode(value) == cells
 
 
 def test_nan_is_no_value() -> None:
-    made = point(type="float32", scale=0.1)
-    assert made.decode([0x7FC0, 0]) is None
-    assert made.judge(made.encode(math.nan)) == (None, "bad", "Missing")
+    point_ = point(type="float32", scale=0.1)
+    assert point_.decode([0x7FC0, 0]) is None
+    assert point_.judge(point_.encode(math.nan)) == (None, "bad", "Missing")
 
 
 # What is written, and the nearest raw number: of two the even one.
@@ -98,12 +98,12 @@ def test_scaled_integers_are_exact_and_come_back(
     low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
     # More than this a float does not tell.
     raw = data.draw(st.integers(max(low, -(10**9)), min(high, 10**9)))
-    made = point(type=name, scale=float(scale), offset=float(offset))
+    point_ = point(type=name, scale=float(scale), offset=float(offset))
     cells = list(struct.unpack(f">{bits // 16}H", raw.to_bytes(bits // 8, "big", signed=signed)))
-    value = made.decode(cells)
+    value = point_.decode(cells)
     exact = raw * Fraction(scale) + Fraction(offset)
     assert value == (exact.numerator / exact.denominator)
-    assert made.encode(value) == cells
+    assert point_.encode(value) == cells
 
 
 @given(
@@ -111,13 +111,13 @@ def test_scaled_integers_are_exact_and_come_back(
     st.sampled_from([0.1, 10, -3.5, 1e-6]),
 )
 def test_scaled_floats_come_back(raw: float, scale: float) -> None:
-    made = point(type="float32", scale=scale)
+    point_ = point(type="float32", scale=scale)
     cells = list(struct.unpack(">2H", struct.pack(">f", raw)))
-    back = made.encode(made.decode(cells))
+    back = point_.encode(point_.decode(cells))
     assert struct.unpack(">f", struct.pack(">2H", *back))[0] == pytest.approx(raw, rel=1e-6)
 
 
-def test_what_is_not_given() -> None:
+def test_a_point_has_defaults_for_its_table() -> None:
     assert (point().type, point().access) == ("uint16", "read_write")
     assert point(table="input_registers").access == "read"
     assert point(table="coils").type is None
@@ -132,7 +132,7 @@ def test_a_point_that_cannot_be(refused: Refused) -> None:
 
 
 def test_a_value_that_a_point_cannot_have(refused: Refused) -> None:
-    refused("unfit_values.txt", lambda given: point(**given[0]).encode(given[1]))
+    refused("unfit_values.txt", lambda case: point(**case[0]).encode(case[1]))
 
 
 @pytest.mark.parametrize(
@@ -182,24 +182,24 @@ def test_the_bounds_themselves_are_taken(keys: dict[str, Any], value: float, raw
 
 
 def test_bounds_of_floats_are_those_of_what_is_given() -> None:
-    held = point(type="float32", scale=10, maximum=0.1)
-    assert held.decode(held.encode(0.1)) == pytest.approx(0.1)
+    point_ = point(type="float32", scale=10, maximum=0.1)
+    assert point_.decode(point_.encode(0.1)) == pytest.approx(0.1)
 
 
 @each_case("divisor", [3, 6, 7, 9, 11, 12, 36, 60, 99, 360, 3600, 86_400, 999_983])
 def test_whole_quotients_are_whole(divisor: int) -> None:
-    held = point(scale=1 / divisor, type="uint32")
+    point_ = point(scale=1 / divisor, type="uint32")
     for number in (1, 2, 3, 7, 1000):
         cells = divmod(number * divisor, 65536)
-        assert held.decode(list(cells)) == number
-        assert held.encode(number) == list(cells)
+        assert point_.decode(list(cells)) == number
+        assert point_.encode(number) == list(cells)
 
 
 def test_a_divisor_in_a_file_is_exact(tmp_path: Path) -> None:
     path = tmp_path / "map.csv"
     path.write_text("name,table,address,divisor\nx,holding_registers,0,3\n")
-    held = load_map(path)["x"]
-    assert [held.decode([raw]) for raw in (3, 6, 9, 300)] == [1, 2, 3, 100]
+    point_ = load_map(path)["x"]
+    assert [point_.decode([raw]) for raw in (3, 6, 9, 300)] == [1, 2, 3, 100]
     path.write_text("name,table,address,scale\nx,holding_registers,0,1/3\n")
     assert load_map(path)["x"].decode([3]) == 1
 

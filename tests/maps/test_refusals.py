@@ -51,15 +51,15 @@ def test_a_search_that_fails_learns_nothing_false(error: ModbusError) -> None:
 def test_two_runs_at_once_learn_the_same() -> None:
     polls = Polls(singles(20), Registers([5]))
     runs = [polls.steps(), polls.steps()]
-    asked = {at: next(run) for at, run in enumerate(runs)}
+    requests_of = {at: next(run) for at, run in enumerate(runs)}
     answers = []
-    while asked:
-        for at, requests in list(asked.items()):
+    while requests_of:
+        for at, requests in list(requests_of.items()):
             try:
-                asked[at] = runs[at].send(polls.ask(requests))
+                requests_of[at] = runs[at].send(polls.ask(requests))
             except StopIteration as done:
                 answers.append(done.value)
-                del asked[at]
+                del requests_of[at]
     assert [lost(polls.plan.results(each)) for each in answers] == [[5], [5]]
     assert polls.unreadable == [5]
     assert len(polls.news) == 1
@@ -125,7 +125,7 @@ BORDERS = [
 
 @each_case("is_strict", [False, True])
 @each_case(("device", "first", "later"), BORDERS)
-def test_all_is_read_across_borders(device, first, later, is_strict) -> None:
+def test_items_across_borders_are_read(device, first, later, is_strict) -> None:
     polls = Polls(singles(100), device)
     for most in (first, later, later):
         count, answers = polls.answers(is_strict=is_strict)
@@ -193,7 +193,7 @@ def test_each_item_has_its_value_or_is_refused(data: st.DataObject) -> None:
 
 
 @given(st.integers(0, 1 << 32), st.integers(0, 200))
-def test_what_can_be_read_is_read_at_last(seed: int, count: int) -> None:
+def test_existing_registers_are_read_at_last(seed: int, count: int) -> None:
     """However wrong the first search was: it ends early while nothing is answered."""
     missing = set(random.Random(seed).sample(range(200), count))
     polls = Polls(singles(200), Registers(missing))
@@ -215,9 +215,9 @@ def test_a_hole_is_found_although_its_refusal_changes() -> None:
 
     for hole in range(20):
         polls = Polls(singles(20), Registers([hole], then=change))
-        found = [lost(polls.poll(now)[1]) for now in range(50)]
-        assert found[-1] == polls.unreadable == [hole]
-        assert all(hole in each for each in found)
+        losses = [lost(polls.poll(now)[1]) for now in range(50)]
+        assert losses[-1] == polls.unreadable == [hole]
+        assert all(hole in each for each in losses)
 
 
 FAILURES = (ModbusTimeoutError, ServerDeviceBusy, InvalidResponse, IllegalDataAddress)
@@ -246,4 +246,4 @@ def test_no_value_is_wrong_whatever_a_device_answers(is_strict: bool) -> None:
             for answer, request in zip(answers, polls.plan.requests, strict=False):
                 cells = range(request.address, request.address + request.count)  # type: ignore[attr-defined]
                 if not isinstance(answer, ModbusError):
-                    assert all(got in (None, at) for got, at in zip(answer, cells, strict=True))
+                    assert all(value in (None, at) for value, at in zip(answer, cells, strict=True))

@@ -80,16 +80,16 @@ def tables() -> Mapping:
 
 
 @pytest.fixture
-def asked() -> list[Any]:
+def reads() -> list[Any]:
     return []
 
 
 @pytest.fixture
-def meter(tables: Mapping, asked: list[Any]) -> Iterator[str]:
+def meter(tables: Mapping, reads: list[Any]) -> Iterator[str]:
     tables.coils[7] = True
 
     def note(access: Any) -> None:
-        asked.append((access.table, access.address, access.count))
+        reads.append((access.table, access.address, access.count))
 
     with Server(Device(tables, before_write=note)).background("tcp://127.0.0.1:0") as running:
         yield running.urls[0]
@@ -106,17 +106,17 @@ def test_names_become_scaled_values(connect: Connect, meter: str) -> None:
 
 
 def test_values_are_written_and_neighbours_together(
-    connect: Connect, meter: str, tables: Mapping, asked: list[Any]
+    connect: Connect, meter: str, tables: Mapping, reads: list[Any]
 ) -> None:
-    changed = {"run": False, "energy": 7.5, "setpoint": 5, "key": 99, "name": "x"}
+    values = {"run": False, "energy": 7.5, "setpoint": 5, "key": 99, "name": "x"}
     with connect(meter, timeout=5) as plc:
-        assert plc.write_map(METER, changed) is None
-        assert asked == [(H, 100, 6), (H, 120, 1), ("coils", 7, 1)]
+        assert plc.write_map(METER, values) is None
+        assert reads == [(H, 100, 6), (H, 120, 1), ("coils", 7, 1)]
         assert tables.holding_registers[100:106] == [50, 7500, 0, 0x7800, 0, 0]
         assert tables.holding_registers[120] == 99
         assert tables.coils[7] is False
         plc.write_map(METER, {})
-        assert len(asked) == 3
+        assert len(reads) == 3
         plc.for_unit(9).write_map(METER, {"setpoint": 29.97})
         assert plc.read_map(METER, ["setpoint"]) == {"setpoint": 30.0}
 
@@ -140,7 +140,7 @@ WRITES = [
 
 
 @each_case(("values", "options", "requests"), WRITES)
-def test_what_is_sent(values: Any, options: Any, requests: list[Any]) -> None:
+def test_few_requests_write_all_the_values(values: Any, options: Any, requests: list[Any]) -> None:
     assert METER.writes(values, **options) == requests
 
 
@@ -154,15 +154,15 @@ def test_long_writes_are_cut_between_values() -> None:
         ]
     )
     values = {"head": 7, "block": [1] * 61, "tail": [2] * 100, "bits": [True] * 2000}
-    sent = [(each.address, len(each.values)) for each in long.writes(values)]  # type: ignore[attr-defined]
+    ranges = [(each.address, len(each.values)) for each in long.writes(values)]  # type: ignore[attr-defined]
     # 123 registers at most; `tail` is longer than a request, and begins one of its own.
-    assert sent == [(0, 123), (123, 122), (245, 78), (0, 1968), (1968, 32)]
+    assert ranges == [(0, 123), (123, 122), (245, 78), (0, 1968), (1968, 32)]
 
 
-def test_what_a_request_holds_is_not_torn() -> None:
+def test_values_that_fit_are_not_torn() -> None:
     blocks = RegisterMap([Point("first", H, 0, 100), Point("second", H, 100, 50)])
-    sent = blocks.writes({"first": [1] * 100, "second": [2] * 50})
-    assert sent == [pdu.WriteRegisters(0, [1] * 100), pdu.WriteRegisters(100, [2] * 50)]
+    requests = blocks.writes({"first": [1] * 100, "second": [2] * 50})
+    assert requests == [pdu.WriteRegisters(0, [1] * 100), pdu.WriteRegisters(100, [2] * 50)]
 
 
 # What is written, and why nothing of it is sent.
@@ -177,13 +177,13 @@ REFUSED = [
 ]
 
 
-def test_nothing_is_sent_of_what_cannot_be_written(connect: Connect, meter: str, asked: list[Any]):
+def test_nothing_is_sent_of_what_cannot_be_written(connect: Connect, meter: str, reads: list[Any]):
     with connect(meter, timeout=5) as plc:
         for values, kind, message in REFUSED:
             with pytest.raises(kind, match=f"^{re.escape(message)}$"):
                 plc.write_map(METER, values)
         assert plc.statistics.requests == 0
-    assert asked == []
+    assert reads == []
 
 
 UNREADABLE = [
@@ -217,12 +217,12 @@ def test_a_point_that_failed_has_its_error(connect: Connect) -> None:
     # 6 is there, but touches 5, which is not.
     device = Device(Mapping(holding_registers={0: [7], 6: [8], 10: [0xF]}))
     with serving(connect, device) as plc:
-        found = plc.read_map(holes, return_exceptions=True)
-        assert found["there"] == 7
-        assert isinstance(found["missing"], IllegalDataAddress)
-        assert found["beside"] == 8
-        assert isinstance(found["digits"], NoValue)
-        assert str(found["digits"]) == "digits has no value: 000F has digits other than 0..9"
+        results = plc.read_map(holes, return_exceptions=True)
+        assert results["there"] == 7
+        assert isinstance(results["missing"], IllegalDataAddress)
+        assert results["beside"] == 8
+        assert isinstance(results["digits"], NoValue)
+        assert str(results["digits"]) == "digits has no value: 000F has digits other than 0..9"
         with pytest.raises(IllegalDataAddress):
             plc.read_map(holes)
         assert plc.read_map(holes, ["there", "digits"]) == {"there": 7, "digits": None}
@@ -241,8 +241,8 @@ def test_data_that_is_no_value_takes_no_other_along(connect: Connect) -> None:
     good = {"soc": 42, "name": "VN"}
     with serving(connect, Device(Mapping(holding_registers={0: cells}))) as plc:
         assert plc.read_map(points) == {**good, "bad": None, "level": None, "clock": None}
-        found = plc.read_map(points, return_exceptions=True)
-        reasons = {name: each.reason for name, each in found.items() if name not in good}
+        results = plc.read_map(points, return_exceptions=True)
+        reasons = {name: each.reason for name, each in results.items() if name not in good}
         assert reasons == {"bad": "InvalidData", "level": "InvalidData", "clock": "InvalidTime"}
         for call, reason, text in (
             (lambda: plc.read_value(H, 4, "string:6"), "InvalidData", f"{H} 4 has no value: 56"),
@@ -264,15 +264,15 @@ def test_data_that_is_no_value_takes_no_other_along(connect: Connect) -> None:
 def test_each_point_has_the_error_of_a_line_that_is_gone(connect: Connect) -> None:
     with serving(connect, Device(Mapping(holding_registers=9))) as plc:
         plc.close()
-        found = plc.read_map(METER, ["setpoint", "run"], return_exceptions=True)
-        assert [type(error) for error in found.values()] == [ModbusConnectionError] * 2
+        errors = plc.read_map(METER, ["setpoint", "run"], return_exceptions=True)
+        assert [type(error) for error in errors.values()] == [ModbusConnectionError] * 2
         with pytest.raises(ModbusConnectionError):
             plc.read_map(METER)
         with pytest.raises(ModbusConnectionError):
             plc.write_map(METER, {"setpoint": 20})
 
 
-def test_nobody_answers_a_broadcast(connect: Connect) -> None:
+def test_a_broadcast_has_no_answer(connect: Connect) -> None:
     device = Device(Mapping(holding_registers=200, coils=9))
     with (
         Server(device).background("rtu+tcp://127.0.0.1:0") as running,
@@ -287,7 +287,7 @@ def test_nobody_answers_a_broadcast(connect: Connect) -> None:
         }
 
 
-def test_what_follows_a_refused_write_is_not_sent(connect: Connect) -> None:
+def test_writes_behind_a_refused_one_are_not_sent(connect: Connect) -> None:
     def refuse(access: Any) -> None:
         raise ServerDeviceBusy
 
@@ -304,11 +304,11 @@ def test_the_plan_is_kept() -> None:
     assert METER.plan() is METER.plan()
     assert METER.plan(["run"], gap=2) is METER.plan(iter(["run"]), gap=2)
     assert METER.plan(["run"], gap=2) is not METER.plan(["run"])
-    closed = [("coils", range(7, 8))]
-    METER.plan(["volts"], forbidden=closed)
-    closed.append(("input_registers", range(1, 2)))
+    forbidden = [("coils", range(7, 8))]
+    METER.plan(["volts"], forbidden=forbidden)
+    forbidden.append(("input_registers", range(1, 2)))
     with pytest.raises(ValueError, match="touches the forbidden"):
-        METER.plan(["volts"], forbidden=closed)
+        METER.plan(["volts"], forbidden=forbidden)
 
 
 def test_a_map_is_a_mapping_that_never_changes() -> None:

@@ -50,26 +50,26 @@ TYPED: list[tuple[dict[str, Any], str, list[Any]]] = [
 
 @each_case(("keys", "text", "cells"), TYPED)
 def test_a_text_is_the_value_that_it_says(keys, text, cells) -> None:
-    made = point(**keys)
-    assert made.encode(typed_value(made, text)) == cells
+    point_ = point(**keys)
+    assert point_.encode(typed_value(point_, text)) == cells
 
 
 DOOR = {"bits": {0: "door", "4..7": "mode"}}
 
 
 def test_a_text_that_is_no_value_is_refused(refused: Refused) -> None:
-    def encode(given: tuple[dict[str, Any], str]) -> None:
-        made = point(**given[0])
-        made.encode(typed_value(made, given[1]))
+    def encode(case: tuple[dict[str, Any], str]) -> None:
+        point_ = point(**case[0])
+        point_.encode(typed_value(point_, case[1]))
 
     refused("refused_texts.txt", encode)
 
 
 def test_a_number_that_a_float_holds_is_one() -> None:
-    made = point(scale=0.1)
-    assert repr(typed_value(made, "100.1")) == "100.1"
-    assert repr(typed_value(made, "-7")) == "-7"
-    assert math.isinf(typed_value(made, "-inf"))
+    point_ = point(scale=0.1)
+    assert repr(typed_value(point_, "100.1")) == "100.1"
+    assert repr(typed_value(point_, "-7")) == "-7"
+    assert math.isinf(typed_value(point_, "-inf"))
 
 
 @each_case(

@@ -20,18 +20,18 @@ from tests.support.cases import each_case
 
 def polled(pace: PointIntervals, polls: int) -> list[list[float]]:
     """Return the times at which each of two points is read."""
-    found: list[list[float]] = [[], []]
+    times: list[list[float]] = [[], []]
     for number in range(polls):
         at = number * pace.interval
         due = pace.due(at)
         for index in (0, 1) if due is None else due:
-            found[index].append(at)
+            times[index].append(at)
         pace.done()
-    return found
+    return times
 
 
 @each_case(
-    ("interval", "usual", "expected"),
+    ("interval", "usual", "times"),
     [
         (25, 10, [0, 30, 60, 90]),  # not 0, 20, 50, which is sooner
         (20.1, 10, [0, 30, 60, 90]),
@@ -42,54 +42,54 @@ def polled(pace: PointIntervals, polls: int) -> list[list[float]]:
         (86_400, 0.01, [0]),
     ],
 )
-def test_an_interval_ends_at_the_first_poll_that_is_not_sooner(interval, usual, expected) -> None:
-    _, found = polled(PointIntervals([None, interval], usual), 100)
-    assert found[: len(expected)] == pytest.approx(expected)
+def test_an_interval_ends_at_the_first_poll_that_is_not_sooner(interval, usual, times) -> None:
+    _, polls = polled(PointIntervals([None, interval], usual), 100)
+    assert polls[: len(times)] == pytest.approx(times)
 
 
 def test_sums_of_times_are_never_exact() -> None:
     """A fleet adds its interval to the time of the last poll, for months."""
-    pace, at, found = PointIntervals([None, 60], 0.1), 1e6, []
+    pace, at, times = PointIntervals([None, 60], 0.1), 1e6, []
     for _ in range(6001):
         if pace.due(at) is None:
-            found.append(at - 1e6)
+            times.append(at - 1e6)
         pace.done()
         at += 0.1
-    assert found == pytest.approx([60 * each for each in range(11)], abs=0.01)
+    assert times == pytest.approx([60 * each for each in range(11)], abs=0.01)
 
 
 def test_polls_that_are_left_out_count_as_time() -> None:
     pace = PointIntervals([None, 60], 10)
     times = [0, 10, 50, 90, 140, 150]
-    found = []
+    ends = []
     for at in times:
         if pace.due(at) is None:
-            found.append(at)
+            ends.append(at)
         pace.done()
-    assert found == [0, 90, 150]
+    assert ends == [0, 90, 150]
 
 
 def falls(*polls: Any) -> list[str]:
     """Return for each poll of one total whether it is believed, doubtful, or fell."""
     totals = Totals([0])
-    found = []
+    verdicts = []
     for value in polls:
         doubtful, fell = totals.take([value])
-        found.append("doubtful" if doubtful else "fell" if fell else "believed")
-    return found
+        verdicts.append("doubtful" if doubtful else "fell" if fell else "believed")
+    return verdicts
 
 
-def test_what_is_no_number_is_no_total() -> None:
+def test_errors_and_none_are_no_total() -> None:
     assert falls(10, ValueError(), 10, 9) == ["believed"] * 3 + ["doubtful"]
     assert falls(10, 9, None, 9) == ["believed", "doubtful", "believed", "fell"]
 
 
 @given(st.lists(st.integers(0, 5)))
 def test_no_total_is_doubtful_twice_in_a_row(polls: list[int]) -> None:
-    found = falls(*polls)
-    assert ("doubtful", "doubtful") not in list(pairwise(found))
+    verdicts = falls(*polls)
+    assert ("doubtful", "doubtful") not in list(pairwise(verdicts))
     rises = all(first <= second for first, second in pairwise(polls))
-    assert not rises or set(found) <= {"believed"}
+    assert not rises or set(verdicts) <= {"believed"}
 
 
 POINTS = RegisterMap(

@@ -107,9 +107,9 @@ def try_on(name: str) -> None:
     environment = os.environ | {"PYTHONPATH": f"{BUILD / 'site'}:{clone}"}
     tests = ["pytest", "-q", "-m", "not slow", "-k", "not flood_costs_little", *FOLDERS]
     for arguments in (["libmodbus_py", "demo"], tests):
-        begun = time.monotonic()
+        start = time.monotonic()
         run(*python, "-m", *arguments, cwd=clone, env=environment)
-        print(f"{name}, {arguments[0]}: {time.monotonic() - begun:.0f} s", flush=True)
+        print(f"{name}, {arguments[0]}: {time.monotonic() - start:.0f} s", flush=True)
 
 
 def main() -> None:

@@ -82,8 +82,8 @@ def why_not() -> str:
     if missing := [each for each in PROGRAMS if shutil.which(each) is None]:
         return f"not installed: {', '.join(missing)}"
     command = ["unshare", "--mount", "--pid", "--net", "--fork", "true"]
-    done = subprocess.run(command, capture_output=True, text=True)
-    return done.stderr.strip()  # such as in a container without privileges
+    process = subprocess.run(command, capture_output=True, text=True)
+    return process.stderr.strip()  # such as in a container without privileges
 
 
 MADE_HERE = pytest.mark.skipif(bool(reason := why_not()), reason=reason)
@@ -92,8 +92,8 @@ MADE_HERE = pytest.mark.skipif(bool(reason := why_not()), reason=reason)
 def block(way: str) -> str:
     """Return the commands that the page has for a way to install."""
     blocks = re.findall(r"```sh\n(.*?)```", PAGE.read_text(), re.DOTALL)
-    (found,) = (each for each in blocks if WAYS[way] in each)
-    return str(found)
+    (text,) = (each for each in blocks if WAYS[way] in each)
+    return str(text)
 
 
 def commands(way: str) -> str:
@@ -131,17 +131,17 @@ class Needs:
         lines = [*project["build-system"]["requires"], *project["project"]["dependencies"]]
         needs = [Requirement(line) for line in [*lines, *extras["wheel"], *extras["test"]]]
         python = PYTHONS[self.release]
-        wanted = []
+        requirements = []
         for need in needs:
             # pip itself takes markers for those of the Python that runs it.
             if need.marker is None or need.marker.evaluate({"python_version": python}):
                 need.marker = None
-                wanted.append(str(need))
+                requirements.append(str(need))
         machine = os.uname().machine
         platforms = [f"--platform=manylinux_2_{minor}_{machine}" for minor in range(5, 37)]
         run_here(
             sys.executable, "-m", "pip", "download", "-q", "--only-binary=:all:", "-d", self.wheels,
-            f"--python-version={python}", *platforms, *wanted,
+            f"--python-version={python}", *platforms, *requirements,
         )  # fmt: skip
         run_here(
             sys.executable, "-c", "import libmodbus; libmodbus.fetch()", cwd=ROOT / "packaging"
@@ -149,14 +149,14 @@ class Needs:
 
 
 def run_here(*command: object, cwd: Path = ROOT) -> None:
-    done = subprocess.run(list(map(str, command)), cwd=cwd, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    process = subprocess.run(list(map(str, command)), cwd=cwd, capture_output=True, text=True)
+    assert process.returncode == 0, process.stdout[-2000:] + process.stderr[-2000:]
 
 
 def base(release: str) -> Path:
     """Return a tarball of a minimal system that knows the packages of its release."""
-    made = kept(CACHE / release) / "system.tar"
-    if not made.exists():
+    archive = kept(CACHE / release) / "system.tar"
+    if not archive.exists():
         folder = CACHE / release / "base"
         shutil.rmtree(folder, ignore_errors=True)
         run_here("debootstrap", "--variant=minbase", "--include=sudo", release, folder)
@@ -165,10 +165,10 @@ def base(release: str) -> Path:
         (folder / "etc/apt/sources.list").write_text(SOURCES.format(release))
         run_here("chroot", folder, "apt-get", "update", "-q")
         run_here("chroot", folder, "apt-get", "clean")
-        run_here("tar", "--one-file-system", "-cf", made.with_suffix(".new"), "-C", folder, ".")
+        run_here("tar", "--one-file-system", "-cf", archive.with_suffix(".new"), "-C", folder, ".")
         shutil.rmtree(folder)
-        made.with_suffix(".new").rename(made)
-    return made
+        archive.with_suffix(".new").rename(archive)
+    return archive
 
 
 @pytest.fixture
@@ -222,7 +222,7 @@ def output(release: str, way: str, request: pytest.FixtureRequest) -> str:
         loopback=loopback, debs=needs.debs, wheels=needs.wheels, home=home, become=become
     )
     steps = f"cd {home}/libmodbus-py\n{commands(way)}"
-    begun = time.monotonic()
+    start = time.monotonic()
     process = subprocess.run(
         [*unshare, "sh", "-c", enter, "sh", steps],
         cwd=folder,
@@ -231,7 +231,7 @@ def output(release: str, way: str, request: pytest.FixtureRequest) -> str:
         text=True,
         umask=0o077 if become else -1,
     )
-    seconds = time.monotonic() - begun
+    seconds = time.monotonic() - start
     assert process.returncode == 0, process.stdout[-6000:]
     lines = [line for line in process.stdout.splitlines() if line.startswith("+ ")]
     last = process.stdout.rstrip().rpartition("\n")[2]

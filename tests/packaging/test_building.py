@@ -74,28 +74,28 @@ def test_what_is_missing_is_said_in_one_line(tree: Path, hidden: str, packages: 
         f"#!/bin/sh\n! grep -qF '{hidden}' && exit 0\necho raw errors >&2; exit 1\n"
     )
     compiler.chmod(0o755)
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "setup.py", "-q", "build_ext", "--build-lib", "built"],
         cwd=tree,
         env=os.environ | {"CC": str(compiler)},
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 1
-    assert done.stderr.splitlines()[-1] == (
+    assert process.returncode == 1
+    assert process.stderr.splitlines()[-1] == (
         "libmodbus-py is compiled against libmodbus of the system; install what is missing:"
         f" sudo apt install {packages}"
     )
-    assert "raw errors" not in done.stderr
+    assert "raw errors" not in process.stderr
 
 
 def test_the_declarations_alone_change_no_file(tree: Path) -> None:
     """cffi would write its C over _libmodbus.c, which is ours."""
     before = {path: path.read_bytes() for path in tree.rglob("*") if path.is_file()}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-B", "build_ffi.py"], cwd=tree, capture_output=True, text=True
     )
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (process.returncode, process.stderr) == (0, "")
     assert {path: path.read_bytes() for path in tree.rglob("*") if path.is_file()} == before
 
 
@@ -121,14 +121,14 @@ def test_what_pip_builds_of_the_files_of_the_image_is_all_and_no_bytecode_of_the
     image: Path, tmp_path: Path
 ) -> None:
     """With the environment of nobody, where Python writes bytecode beside what it imports."""
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation",
          "--no-index", "--disable-pip-version-check", "-w", str(tmp_path), str(image)],
         env={"PATH": os.defpath, "HOME": str(tmp_path), "TMPDIR": str(tmp_path)},
         capture_output=True,
         text=True,
     )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert process.returncode == 0, process.stdout + process.stderr
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
     package = {str(path.relative_to(ROOT)) for path in (ROOT / "libmodbus_py").rglob("*.py")}
@@ -155,13 +155,13 @@ def test_musl_compiles_all_c(tmp_path: Path, source: str) -> None:
         text = loaded(ROOT / "build_ffi.py").scan._assigned_source[1]
     else:
         text = (BINDING / f"{source}.c").read_text()
-    done = subprocess.run(
+    process = subprocess.run(
         ["musl-gcc", "-fsyntax-only", f"-I{tmp_path}", "-Wall", "-x", "c", "-"],
         input=text,
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
 
 
 # Of those who work on this package.
@@ -170,12 +170,12 @@ NOT_FOR_USERS = {"test", "docs", "lint", "bench", "fuzz", "wheel"}
 
 def test_the_table_is_that_of_the_project() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    wanted = {
-        name: needed[0]  # without a marker, with which pip would install nothing without a word
-        for name, needed in project["optional-dependencies"].items()
+    table = {
+        name: extra[0]  # without a marker, with which pip would install nothing without a word
+        for name, extra in project["optional-dependencies"].items()
         if name not in NOT_FOR_USERS
     }
-    assert {name: requirement for name, (requirement, _) in EXTRAS.items()} == wanted
+    assert {name: requirement for name, (requirement, _) in EXTRAS.items()} == table
 
 
 def test_debian_suggests_and_the_documents_name_each_package() -> None:
@@ -227,19 +227,19 @@ def test_the_manual_page_has_the_help_of_every_command(page: Path) -> None:
 
 @pytest.mark.skipif(shutil.which("man") is None, reason="man is not installed")
 def test_man_finds_no_mistake_in_the_manual_page(page: Path) -> None:
-    done = subprocess.run(
+    process = subprocess.run(
         ["man", "--warnings", "-l", str(page)],
         env=os.environ | {"MANWIDTH": "100", "LC_ALL": "C.UTF-8"},
         capture_output=True,
         text=True,
     )
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (process.returncode, process.stderr) == (0, "")
     for text in ("libmodbus-py read", "--watch", "libmodbus-py diagnose", "'"):
-        assert text in done.stdout
+        assert text in process.stdout
 
 
-@pytest.mark.parametrize(("typed", "found"), [("dia", ["diagnose"]), ("ga", ["gateway"])])
-def test_the_installed_script_completes_in_bash(typed, found, tmp_path) -> None:
+@pytest.mark.parametrize(("typed", "words"), [("dia", ["diagnose"]), ("ga", ["gateway"])])
+def test_the_installed_script_completes_in_bash(typed, words, tmp_path) -> None:
     pytest.importorskip("argcomplete")
     program = tmp_path / "libmodbus-py"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -m libmodbus_py "$@"\n')
@@ -249,8 +249,8 @@ def test_the_installed_script_completes_in_bash(typed, found, tmp_path) -> None:
     script += "_libmodbus_py libmodbus-py; printf '%s\\n' \"${COMPREPLY[@]}\""
     path = f"{tmp_path}{os.pathsep}{os.environ['PATH']}"
     environment = os.environ | {"PATH": path, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
+    process = subprocess.run(
         ["bash", "--norc", "-c", script], env=environment, capture_output=True, text=True
     )
-    assert done.stderr == ""
-    assert [each.strip() for each in done.stdout.splitlines()] == found
+    assert process.stderr == ""
+    assert [each.strip() for each in process.stdout.splitlines()] == words

@@ -22,11 +22,11 @@ OWN = ("Description", "ExecStart", "StateDirectory", "Environment")
 
 def template(command: str) -> str:
     unit = (DEPLOY / f"libmodbus-py-{command}.service").read_text()
-    done = subprocess.run(
+    process = subprocess.run(
         ["sh", DEBIAN / "template.sh", command], input=unit, capture_output=True, text=True
     )
-    assert (done.returncode, done.stderr) == (0, "")
-    return done.stdout
+    assert (process.returncode, process.stderr) == (0, "")
+    return process.stdout
 
 
 def test_its_version_is_that_of_the_package() -> None:
@@ -84,8 +84,8 @@ def clone(tree: Path) -> Path:
 
 def test_from_an_unpacked_source_come_all_files_but_those_that_were_made_there(tree: Path) -> None:
     lines = (ROOT / ".gitignore").read_text().replace("*", "x").split()
-    made = [f"{line.strip('/')}/in/it" if line.endswith("/") else line.strip("/") for line in lines]
-    put(tree, *made)
+    rows = [f"{line.strip('/')}/in/it" if line.endswith("/") else line.strip("/") for line in lines]
+    put(tree, *rows)
     put(tree, "venv/lib/x.py", ".venv/bin/pip", "build/lib/x.py", "libmodbus_py/__pycache__/x.pyc")
     put(tree, "libmodbus_py/binding/_libmodbus.abi3.so", "libmodbus_py.egg-info/PKG-INFO")
     assert files(tree) == KNOWN
@@ -106,7 +106,7 @@ def test_a_clone_may_belong_to_another_user(clone: Path, monkeypatch: pytest.Mon
     assert files(clone) == KNOWN
 
 
-def test_what_git_says_is_told_if_it_does_not_know_the_files(clone: Path, tmp_path: Path) -> None:
+def test_the_error_of_git_is_shown_if_it_knows_no_files(clone: Path, tmp_path: Path) -> None:
     shutil.rmtree(clone / ".git")
     (clone / ".git").write_text(f"gitdir: {tmp_path}/gone\n")
     with pytest.raises(SystemExit, match="deb: fatal: not a git repository"):
@@ -138,11 +138,11 @@ def test_systemd_takes_a_template(command: str, tmp_path: Path) -> None:
     (tmp_path / f"libmodbus-py-{command}@.service").write_text(text)
     instance = tmp_path / f"libmodbus-py-{command}@plant.service"
     instance.write_text(text)
-    done = subprocess.run(
+    process = subprocess.run(
         ["systemd-analyze", "verify", "--man=no", str(instance)], capture_output=True, text=True
     )
-    said = [line for line in done.stderr.splitlines() if "libmodbus-py" in line]
-    assert said == []
+    complaints = [line for line in process.stderr.splitlines() if "libmodbus-py" in line]
+    assert complaints == []
 
 
 def test_a_command_of_the_templates_takes_its_words(tmp_path: Path) -> None:
@@ -152,6 +152,6 @@ def test_a_command_of_the_templates_takes_its_words(tmp_path: Path) -> None:
         (start,) = re.findall("^ExecStart=(.*)$", template(command), re.MULTILINE)
         _, *words = start.replace("${URL}", "tcp://0.0.0.0:502").split()
         words = [word.replace("%i", "plant").replace("${STATE_DIRECTORY}", "/s") for word in words]
-        given = parse_arguments(words)
-        assert given.log == "info"
-        assert getattr(given, "state", "/s/state.json") == "/s/state.json"
+        options = parse_arguments(words)
+        assert options.log == "info"
+        assert getattr(options, "state", "/s/state.json") == "/s/state.json"

@@ -40,30 +40,30 @@ def state(file: Path, version: str) -> None:
 
 def answer(tree: Path, tag: str) -> tuple[int, str]:
     command = [sys.executable, str(tree / "packaging" / "release.py"), tag]
-    done = subprocess.run(command, capture_output=True, text=True)
-    return done.returncode, done.stdout + done.stderr
+    process = subprocess.run(command, capture_output=True, text=True)
+    return process.returncode, process.stdout + process.stderr
 
 
 def test_a_tag_is_the_version(tree: Path) -> None:
     assert answer(tree, "v1.2.3") == (0, "")
     for tag in ("v1.2.4", "1.2.3", "v1.2", "v1.2.3-1"):
-        told = f"release: the tag is {tag}, but the version in pyproject.toml is 1.2.3\n"
-        assert answer(tree, tag) == (1, told)
+        message = f"release: the tag is {tag}, but the version in pyproject.toml is 1.2.3\n"
+        assert answer(tree, tag) == (1, message)
 
 
 @each_case("name", FILES)
 def test_a_version_that_was_forgotten_is_named(tree: Path, name: str) -> None:
     state(tree / name, "1.2.2")
-    told = f"release: the tag is v1.2.3, but the version in {name} is 1.2.2\n"
-    assert answer(tree, "v1.2.3") == (1, told)
+    message = f"release: the tag is v1.2.3, but the version in {name} is 1.2.2\n"
+    assert answer(tree, "v1.2.3") == (1, message)
     state(tree / name, "1.2.3")
 
 
 def test_without_a_public_address_nothing_is_published(tree: Path) -> None:
     project = tree / "pyproject.toml"
     project.write_text(project.read_text().replace("\nSource = ", "\nHomepage = "))
-    told = "release: pyproject.toml has no [project.urls] Source, a public address\n"
-    assert answer(tree, "v1.2.3") == (1, told)
+    message = "release: pyproject.toml has no [project.urls] Source, a public address\n"
+    assert answer(tree, "v1.2.3") == (1, message)
 
 
 NAME = "libmodbus-py"
@@ -78,8 +78,8 @@ def test_nothing_installs_from_an_index_what_is_not_there() -> None:
     """Whoever registers the name could put anything under it."""
     files = runpy.run_path(str(ROOT / "packaging" / "deb.py"))["files"]()
     assert len(files) > 500
-    found = [name for name in files if installs_by_name((ROOT / name).read_text(errors="replace"))]
-    assert found == []
+    wrong = [name for name in files if installs_by_name((ROOT / name).read_text(errors="replace"))]
+    assert wrong == []
 
 
 def test_an_installation_by_name_is_told_from_one_of_a_file() -> None:
@@ -108,31 +108,31 @@ def jobs(workflow: str) -> dict[str, str]:
 
 
 def test_what_is_published_waits_for_all_other_jobs() -> None:
-    found = jobs("release.yml")
-    (needs,) = re.findall(r"(?m)^    needs: \[(.*)\]$", found["publish"])
+    jobs_ = jobs("release.yml")
+    (needs,) = re.findall(r"(?m)^    needs: \[(.*)\]$", jobs_["publish"])
     others = {"tag", "tests", "wheels", "sdist"}
-    assert set(needs.split(", ")) == found.keys() - {"publish"} == others
+    assert set(needs.split(", ")) == jobs_.keys() - {"publish"} == others
     # A condition with a function such as always() would not wait for their success.
     on_tags = "    if: startsWith(github.ref, 'refs/tags/v')\n"
     for name in ("publish", "tag", "tests"):
-        assert re.findall(r"(?m)^ +if: .*\n", found[name]) == [on_tags]
-    assert not any("continue-on-error" in lines for lines in found.values())
+        assert re.findall(r"(?m)^ +if: .*\n", jobs_[name]) == [on_tags]
+    assert not any("continue-on-error" in lines for lines in jobs_.values())
 
 
 def test_the_tests_of_a_release_are_those_of_a_change() -> None:
-    found = jobs("release.yml")
-    assert "    uses: ./.github/workflows/ci.yml\n" in found["tests"]
+    jobs_ = jobs("release.yml")
+    assert "    uses: ./.github/workflows/ci.yml\n" in jobs_["tests"]
     triggers = (WORKFLOWS / "ci.yml").read_text().partition("\non:\n")[2].partition("\n\n")[0]
     assert re.search(r"(?m)^  workflow_call:", triggers)
-    assert '      - run: python3 packaging/release.py "$GITHUB_REF_NAME"\n' in found["tag"]
+    assert '      - run: python3 packaging/release.py "$GITHUB_REF_NAME"\n' in jobs_["tag"]
 
 
 def test_wheels_get_the_time_of_the_commit() -> None:
     """packaging/repair.py, which cibuildwheel calls, wants it."""
     steps = re.findall(r"(?m)^      - run: (.*)$", jobs("release.yml")["wheels"])
-    dated, built = steps
+    dated, build = steps
     assert dated == 'echo "SOURCE_DATE_EPOCH=$(git log -1 --format=%ct)" >> "$GITHUB_ENV"'
-    assert "cibuildwheel" in built
+    assert "cibuildwheel" in build
 
 
 def test_actions_are_pinned_by_hash() -> None:

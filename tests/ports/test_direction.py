@@ -92,8 +92,8 @@ def test_an_asyncio_client_calls_a_function_and_raises_its_error(
             assert await plc.read_input_registers(0, 1) == [555]
 
     asyncio.run(use())
-    sent = [True, SENT, False]
-    assert events == [False, *sent, True, False, False, *sent]
+    steps = [True, SENT, False]
+    assert events == [False, *steps, True, False, False, *steps]
 
 
 def test_a_function_is_called_with_the_delays_of_rts(events: list[object]) -> None:
@@ -175,7 +175,7 @@ def test_a_forked_child_leaves_the_transceiver_to_its_parent(events: list[object
     assert events == [False, True, False]
 
 
-def test_what_switches_nothing_is_refused(refused: Refused) -> None:
+def test_wrong_values_of_rs485_are_refused(refused: Refused) -> None:
     refused("wrong_rs485.txt", lambda rs485: SerialPort("/dev/ttyUSB0", rs485=rs485))
 
 
@@ -290,7 +290,7 @@ def test_a_server_has_a_gpio_line_and_opens_its_port_again_after_an_error(
         assert plc.read_holding_registers(0, 2) == [0, 0]
 
 
-def test_without_the_package_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_gpiod_the_error_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gpiod", None)
     with pytest.raises(ImportError, match=r"rs485=gpio:\.\.\. needs gpiod: .*install"):
         Client("rtu:///dev/ttyUSB0?rs485=gpio:/dev/gpiochip0/17")

@@ -17,7 +17,6 @@ from libmodbus_py.ports.schemes import SCHEMES, SECURITY_OPTIONS, TRANSPORTS, op
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.scan import scan
 from libmodbus_py.services.gateway.routes import Route
-from tests.ports.test_hosts import HOSTS
 from tests.support.cases import each_case
 from tests.support.golden import Refused
 from tests.support.urls import url_for
@@ -62,7 +61,7 @@ from tests.support.urls import url_for
         ),
     ],
 )
-def test_what_a_url_stands_for(url: str, endpoint: Endpoint) -> None:
+def test_a_url_is_parsed_into_an_endpoint(url: str, endpoint: Endpoint) -> None:
     assert parse(url) == endpoint
 
 
@@ -152,7 +151,7 @@ def test_ascii_has_seven_data_bits_and_no_silence(url: str, settings: dict[str, 
 ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
 
 
-def test_what_is_wrong_is_named_and_what_is_allowed(refused: Refused) -> None:
+def test_wrong_urls_are_refused_with_what_is_allowed(refused: Refused) -> None:
     """Also schemes of other programs, such as pyserial, simonvetter/modbus, Telegraf and W3C."""
     refused("wrong_urls.txt", parse)
 
@@ -202,6 +201,8 @@ def test_a_path_comes_back_from_its_url(path: str) -> None:
 
 # Names of files are bytes, most of which are UTF-8.
 NAMES = st.text(st.characters(codec="utf-8"), min_size=1) | st.binary(min_size=1).map(os.fsdecode)
+HOSTS = st.from_regex(r"[a-z0-9.-]{1,20}", fullmatch=True) | st.ip_addresses().map(str)
+ZONED = st.ip_addresses(v=6).map("{}%enP8p1s0".format)
 NUMBERS, SECONDS = st.integers(0, 10**9), st.floats(0, 1e300)
 VALUES: dict[str, st.SearchStrategy[Any]] = {
     **dict.fromkeys(SECURITY_OPTIONS, NAMES),
@@ -220,13 +221,13 @@ def endpoints(draw: st.DrawFn) -> Endpoint:
     scheme = draw(st.sampled_from(list(SCHEMES)))
     own, others = (
         {name: draw(VALUES.get(name, NUMBERS)) for name in draw(st.sets(st.sampled_from(names)))}
-        if (names := list(known))
+        if (names := list(options))
         else {}
-        for known in (options_of(scheme), CLIENT_OPTIONS)
+        for options in (options_of(scheme), CLIENT_OPTIONS)
     )
     if TRANSPORTS[SCHEMES[scheme][1]].has_path:
         return Endpoint(scheme, "", 0, f"/x{draw(NAMES)}", own, others)
-    return Endpoint(scheme, draw(HOSTS), draw(st.integers(0, 65535)), "", own, others)
+    return Endpoint(scheme, draw(HOSTS | ZONED), draw(st.integers(0, 65535)), "", own, others)
 
 
 @given(endpoints())
@@ -234,9 +235,9 @@ def test_every_endpoint_comes_back_from_its_url(endpoint: Endpoint) -> None:
     again = parse(endpoint.url)
     assert again == endpoint
     assert (hash(again), again.key) == (hash(endpoint), endpoint.key)
-    shown = parse(str(endpoint))
-    assert shown == replace(again, client_options={}, options=shown.options)
-    assert shown.options == ({} if endpoint.is_secure else endpoint.options)
+    visible = parse(str(endpoint))
+    assert visible == replace(again, client_options={}, options=visible.options)
+    assert visible.options == ({} if endpoint.is_secure else endpoint.options)
 
 
 def test_the_zone_of_an_address_is_the_name_of_an_interface_as_it_is_written() -> None:
@@ -315,7 +316,7 @@ def test_the_endpoint_of_what_was_typed(text: str, url: str) -> None:
     assert str(parse(url)) == url
 
 
-def test_all_that_take_a_url_take_it() -> None:
+def test_classes_and_functions_take_a_host_without_a_scheme() -> None:
     points = RegisterMap([Point("a", "coils", 0)])
     assert AsyncClient("192.0.2.10:1502").url == "tcp://192.0.2.10:1502"
     with closing(Client("192.0.2.10:1502")) as client:

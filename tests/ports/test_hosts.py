@@ -66,7 +66,7 @@ WRONG += ["a b", "me@h", "h/x", "[::1]:1:2", "[[::1]]", "h:502\n", "h:\u0665"]
 
 
 @each_case("text", WRONG)
-def test_other_texts_are_refused(text: str) -> None:
+def test_texts_that_are_no_host_and_port_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"must be"):
         split_host_and_port(text)
 
@@ -83,7 +83,7 @@ def outage() -> Outage:
     return Outage(logging.getLogger("test"), "rtu:///dev/line")
 
 
-def test_it_is_told_once_and_again_when_it_is_over(outage: Outage, caplog) -> None:
+def test_an_outage_is_logged_once_and_again_when_it_is_over(outage: Outage, caplog) -> None:
     for _ in range(2):
         for _ in range(3):
             outage.begin(GONE)
@@ -91,11 +91,11 @@ def test_it_is_told_once_and_again_when_it_is_over(outage: Outage, caplog) -> No
         for _ in range(2):
             outage.end()
         assert not outage.is_on
-    told = ["rtu:///dev/line: no such device; trying again", "rtu:///dev/line: open again"]
-    assert caplog.messages == told * 2
+    messages = ["rtu:///dev/line: no such device; trying again", "rtu:///dev/line: open again"]
+    assert caplog.messages == messages * 2
 
 
-def test_it_lasts_until_the_port_can_be_opened(outage: Outage, caplog) -> None:
+def test_an_outage_lasts_until_the_port_can_be_opened(outage: Outage, caplog) -> None:
     outage.begin(GONE)
     attempts: list[Callable[[], None]] = [failing, failing, lambda: None]
     assert [outage.try_to_end(each) for each in attempts] == [False, False, True]

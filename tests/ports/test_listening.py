@@ -31,9 +31,9 @@ HERE = ["127.1.2.3", "127.1.2.4"]
 def port() -> int:
     """A port that is free on both addresses."""
     with socket.create_server((HERE[0], 0)) as one:
-        found: int = one.getsockname()[1]
-        with socket.create_server((HERE[1], found)):
-            return found
+        number: int = one.getsockname()[1]
+        with socket.create_server((HERE[1], number)):
+            return number
 
 
 @contextmanager
@@ -61,16 +61,16 @@ def test_every_address_of_a_name_takes_connections(monkeypatch, port: int, liste
     resolve(monkeypatch, "plc.example", *HERE)
     with listening(port):
         for each in HERE:
-            with socket.create_connection((each, port), 20) as made:
-                assert made.getpeername() == (each, port)
+            with socket.create_connection((each, port), 20) as connection:
+                assert connection.getpeername() == (each, port)
 
 
 def test_a_page_answers_on_every_address(monkeypatch: pytest.MonkeyPatch, port: int) -> None:
     resolve(monkeypatch, "plc.example", *HERE)
     with live_page(Server(Device(Mapping(1))), host="plc.example", port=port) as page:
         for each in HERE:
-            with urllib.request.urlopen(page.url.replace("plc.example", each), timeout=20) as got:
-                assert got.status == 200
+            with urllib.request.urlopen(page.url.replace("plc.example", each), timeout=20) as file:
+                assert file.status == 200
 
 
 def local_addresses() -> list[str]:
@@ -113,9 +113,9 @@ def only_here(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("only_here")
 def test_an_address_of_another_machine_is_left_out_beside_others(monkeypatch, port: int) -> None:
     resolve(monkeypatch, "plc.example", "192.0.2.1", HERE[0])
-    (made,) = listen_on("plc.example", port)
-    with made:
-        assert made.getsockname() == (HERE[0], port)
+    (listener,) = listen_on("plc.example", port)
+    with listener:
+        assert listener.getsockname() == (HERE[0], port)
 
 
 @pytest.mark.usefixtures("only_here")
@@ -177,8 +177,8 @@ def frames(greeting: Greeting, data: bytes, size: int) -> bytes:
 def test_texts_between_frames_with_a_header_are_dropped(parts: list[bytes], size: int) -> None:
     """Also from the middle of what was received together; a frame may contain such a text."""
     greeting = Greeting(0, (IMEI, HEARTBEAT), has_header=True)
-    expected = b"".join(part for part in parts if part in (MBAP, LONG))
-    assert frames(greeting, b"".join(parts), size) == expected
+    data = b"".join(part for part in parts if part in (MBAP, LONG))
+    assert frames(greeting, b"".join(parts), size) == data
 
 
 @each_case("chunks", [[IMEI, RTU], [IMEI + RTU], [RTU + HEARTBEAT], [IMEI[:4], IMEI[4:], RTU]])

@@ -170,10 +170,10 @@ def test_without_a_device_requests_fail_as_without_a_connection(kind: str, port:
     with dialling(port) as modems, asking(kind, url, timeout=0.2) as plc:
         until(lambda: modems)[0].close()
         for _ in range(2):  # at once: nobody pauses who waits for a device
-            begun = time.monotonic()
+            start = time.monotonic()
             with pytest.raises(ModbusConnectionError, match=r"no (device|connection)"):
                 plc.read_holding_registers(1, 1)
-            assert 0.1 < time.monotonic() - begun < 5
+            assert 0.1 < time.monotonic() - start < 5
         with closing(Modem(port)):
             assert plc.read_holding_registers(2, 1) == [2]
 
@@ -236,17 +236,17 @@ def test_a_cancelled_wait_leaves_the_address_to_the_next_request(port: int) -> N
     async def use() -> None:
         async with asyncio.timeout(20):
             plc = AsyncClient(f"listen+tcp://127.0.0.1:{port}", timeout=600)
-            waiting = asyncio.create_task(plc.read_holding_registers(1, 1))
+            task = asyncio.create_task(plc.read_holding_registers(1, 1))
             await asyncio.sleep(0.05)
-            waiting.cancel()
-            await asyncio.wait([waiting])
+            task.cancel()
+            await asyncio.wait([task])
             with dialling(port):
                 assert await plc.read_holding_registers(2, 1) == [2]
-            waiting = asyncio.create_task(plc.read_holding_registers(1, 1))
+            task = asyncio.create_task(plc.read_holding_registers(1, 1))
             await asyncio.sleep(0.05)
             await plc.close()
             with pytest.raises(ModbusConnectionError, match="this client is closed"):
-                await waiting
+                await task
 
     asyncio.run(use())
     with socket.create_server(("127.0.0.1", port)):
@@ -290,9 +290,9 @@ def test_a_gateway_reaches_a_device_that_connects(port: int) -> None:
 def test_the_command_line_reaches_a_device_that_connects(port: int) -> None:
     with dialling(port, "listen+rtu+tcp", IMEI):
         url = f"listen+rtu+tcp://127.0.0.1:{port}"
-        done = run("read", url, "hr", "7", "--timeout", "10", "--greeting", IMEI.decode())
-    assert (done.code, done.err) == (0, "")
-    assert done.out.split() == ["7", "7"]
+        process = run("read", url, "hr", "7", "--timeout", "10", "--greeting", IMEI.decode())
+    assert (process.code, process.err) == (0, "")
+    assert process.out.split() == ["7", "7"]
 
 
 FLEET = """
@@ -309,8 +309,8 @@ def test_a_fleet_polls_a_device_that_connects(port: int, tmp_path: Path) -> None
     file = tmp_path / "fleet.toml"
     file.write_text(FLEET.format(port=port, greeting=IMEI.decode()))
     with dialling(port, "listen+tcp", IMEI):
-        done = run("poll", str(file), "--once", "--csv", str(tmp_path / "readings.csv"))
-    assert done.code == 0, done.err
+        process = run("poll", str(file), "--once", "--csv", str(tmp_path / "readings.csv"))
+    assert process.code == 0, process.err
     assert "meter,power,7," in (tmp_path / "readings.csv").read_text()
 
 
@@ -323,7 +323,7 @@ def test_a_fleet_polls_a_device_that_connects(port: int, tmp_path: Path) -> None
         ("tcp://0.0.0.0:1502", {"greeting": "x"}, "greeting is for listen\\+tcp://, not for tcp"),
     ],
 )
-def test_what_has_no_meaning_is_refused(url: str, options: Any, text: str) -> None:
+def test_options_not_fit_for_listening_are_refused(url: str, options: Any, text: str) -> None:
     with pytest.raises(ValueError, match=text):
         Client(url, **options)
 

@@ -45,18 +45,18 @@ def threads() -> int:
 
 @pytest.fixture
 def resolver(monkeypatch: pytest.MonkeyPatch) -> Iterator[Resolver]:
-    made = Resolver()
-    monkeypatch.setattr(socket, "getaddrinfo", made.getaddrinfo)
-    yield made
-    made.release.set()
+    resolver = Resolver()
+    monkeypatch.setattr(socket, "getaddrinfo", resolver.getaddrinfo)
+    yield resolver
+    resolver.release.set()
     until(lambda: threads() == 0)
 
 
 @pytest.fixture
 def waker() -> Iterator[Waker]:
-    made = Waker()
-    yield made
-    made.close()
+    waker = Waker()
+    yield waker
+    waker.close()
 
 
 def wanted(host: str, seconds: float = 30.0) -> Resolve:
@@ -67,7 +67,7 @@ def resolving(host: str, seconds: float = 30.0) -> Steps[Any]:
     return (yield wanted(host, seconds))
 
 
-def test_all_who_ask_for_one_name_share_a_look_up(resolver: Resolver) -> None:
+def test_callers_of_one_name_share_a_look_up(resolver: Resolver) -> None:
     async def main() -> None:
         tasks = [asyncio.create_task(look_up(wanted("stuck"))) for _ in range(100)]
         await asyncio.sleep(0)
@@ -79,7 +79,7 @@ def test_all_who_ask_for_one_name_share_a_look_up(resolver: Resolver) -> None:
     assert resolver.asked == ["stuck"]
 
 
-def test_each_who_asked_gets_an_error_of_its_own(resolver: Resolver) -> None:
+def test_each_caller_gets_an_error_of_its_own(resolver: Resolver) -> None:
     async def main() -> list[BaseException | list[Any]]:
         return await asyncio.gather(
             *(look_up(wanted("none")) for _ in range(2)), return_exceptions=True
@@ -133,8 +133,8 @@ def test_the_loop_has_its_own_threads_for_itself_and_ends_without_waiting(resolv
 
 
 def test_blocking_and_asyncio_clients_share_it(resolver: Resolver, waker: Waker) -> None:
-    found: list[Any] = []
-    blocking = threading.Thread(target=lambda: found.append(run(resolving("stuck"), waker)))
+    results: list[Any] = []
+    blocking = threading.Thread(target=lambda: results.append(run(resolving("stuck"), waker)))
     blocking.start()
     until(lambda: resolver.asked == ["stuck"])
 
@@ -146,7 +146,7 @@ def test_blocking_and_asyncio_clients_share_it(resolver: Resolver, waker: Waker)
 
     asyncio.run(main())
     blocking.join()
-    assert found == [FOUND]
+    assert results == [FOUND]
     assert resolver.asked == ["stuck"]
 
 
@@ -171,15 +171,15 @@ def test_a_blocking_client_that_looks_up_a_name_can_be_woken(resolver: Resolver,
 
 
 def test_a_loop_that_was_closed_meanwhile_stops_no_other(resolver: Resolver) -> None:
-    told: list[int] = []
+    calls: list[int] = []
 
     def fails() -> None:
         raise RuntimeError("Event loop is closed")
 
     ask(wanted("stuck"), fails)
-    question = ask(wanted("stuck"), lambda: told.append(1))
+    question = ask(wanted("stuck"), lambda: calls.append(1))
     resolver.release.set()
-    until(lambda: told == [1])
+    until(lambda: calls == [1])
     assert question.result() == FOUND
 
 
@@ -190,7 +190,7 @@ def test_a_loop_that_was_closed_meanwhile_stops_no_other(resolver: Resolver) -> 
         (MemoryError("no memory"), "no memory"),
     ],
 )
-def test_whatever_a_look_up_raises_is_told(monkeypatch, error, text) -> None:
+def test_errors_of_a_look_up_are_raised(monkeypatch, error, text) -> None:
     def getaddrinfo(*_: Any, **__: Any) -> None:
         raise error
 

@@ -101,7 +101,7 @@ def test_a_setting_that_the_driver_keeps_otherwise_is_refused(monkeypatch) -> No
 
 
 @pytest.mark.parametrize("baudrate", [9600, 12345])
-def test_what_comes_is_given_with_any_baud_rate(baudrate: int) -> None:
+def test_bytes_are_read_at_any_baud_rate(baudrate: int) -> None:
     master, slave = pty.openpty()
     path = os.ttyname(slave)
     os.close(slave)

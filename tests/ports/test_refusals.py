@@ -29,16 +29,16 @@ from tests.support.clients import ALL, asking
 
 @pytest.fixture
 def wire() -> Iterator[SerialWire]:
-    with SerialWire() as made:
-        yield made
+    with SerialWire() as wire:
+        yield wire
 
 
 @pytest.fixture
 def port(wire: SerialWire) -> Iterator[SerialPort]:
-    made = SerialPort(wire.client)
-    made.open()
-    yield made
-    made.close()
+    port = SerialPort(wire.client)
+    port.open()
+    yield port
+    port.close()
 
 
 def raising(number: int) -> Callable[..., Any]:
@@ -66,10 +66,10 @@ def refusing(owner: Any, name: str, number: int) -> Iterator[None]:
 
 def is_free(path: str) -> bool:
     """Return True if no program has a port open or locked."""
-    made = SerialPort(path)
-    made.open()
-    made.close()
-    return made.descriptor == -1
+    port_ = SerialPort(path)
+    port_.open()
+    port_.close()
+    return port_.descriptor == -1
 
 
 class Connecting:
@@ -91,27 +91,27 @@ class Connecting:
 
 class TestSettings:
     def test_settings_that_are_refused_twice_are_refused(self, wire: SerialWire, monkeypatch):
-        made = SerialPort(wire.client)
+        port_ = SerialPort(wire.client)
         with monkeypatch.context() as patch:
             patch.setattr(serial, "lib", Connecting(errno.EINVAL, errno.EINVAL))
             with pytest.raises(ModbusConnectionError) as caught:
-                made.open()
+                port_.open()
         text = f"cannot open {wire.client}: the port refuses these settings"
         assert str(caught.value) == text
         assert caught.value.errno == errno.EINVAL
-        assert made.descriptor == -1
+        assert port_.descriptor == -1
         assert is_free(wire.client)
 
     def test_settings_that_are_refused_once_were_there_already(self, wire: SerialWire, monkeypatch):
         """As glibc says of a pseudo-terminal, which has no parity."""
         monkeypatch.setattr(serial, "lib", Connecting(errno.EINVAL))
-        made = SerialPort(wire.client)
-        made.open()
-        assert made.descriptor >= 0
-        made.close()
+        port_ = SerialPort(wire.client)
+        port_.open()
+        assert port_.descriptor >= 0
+        port_.close()
 
     @pytest.mark.parametrize("number", [errno.EIO, errno.ENXIO, errno.EMFILE])
-    def test_another_error_is_told_and_not_tried_again(self, number, wire: SerialWire, monkeypatch):
+    def test_another_error_is_raised_and_not_retried(self, number, wire: SerialWire, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(serial, "lib", Connecting(number, errno.EDOM))
             with failing(number):
@@ -129,7 +129,7 @@ class TestSettings:
         assert is_free(wire.client)
 
     @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EINTR])
-    def test_a_lock_that_cannot_be_had_is_told(self, number: int, wire: SerialWire) -> None:
+    def test_a_lock_that_is_refused_is_named(self, number: int, wire: SerialWire) -> None:
         with refusing(fcntl, "flock", number):
             SerialPort(wire.client).open()
         assert is_free(wire.client)
@@ -155,7 +155,7 @@ class TestSettingsOfTheDriver:
         return report
 
     @pytest.mark.parametrize(
-        ("asked", "actual", "is_taken"),
+        ("speed", "actual", "is_taken"),
         [
             (25_000, 25_000, True),
             (25_000, 25_500, True),
@@ -168,19 +168,19 @@ class TestSettingsOfTheDriver:
         ],
     )
     def test_a_rate_within_2_percent_is_taken(
-        self, asked: int, actual: int, is_taken: bool, rate: Callable[[int], None], wire: SerialWire
+        self, speed: int, actual: int, is_taken: bool, rate: Callable[[int], None], wire: SerialWire
     ) -> None:
         rate(actual)
-        made = SerialPort(wire.client, baudrate=asked)
+        port_ = SerialPort(wire.client, baudrate=speed)
         if is_taken:
-            made.open()
-            made.close()
+            port_.open()
+            port_.close()
         else:
-            text = f"baudrate {asked} refused: the port does {actual}$"
+            text = f"baudrate {speed} refused: the port does {actual}$"
             with failing(errno.EINVAL, text):
-                made.open()
+                port_.open()
 
-    def test_the_highest_rate_of_a_plain_uart_is_told(
+    def test_the_highest_rate_of_a_plain_uart_is_named(
         self, rate: Callable[[int], None], wire: SerialWire, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(serial_devices, "highest_rate", lambda path: 115_200)
@@ -191,10 +191,10 @@ class TestSettingsOfTheDriver:
     def test_a_system_that_tells_no_rate_is_believed(self, wire: SerialWire, monkeypatch) -> None:
         """As on processors whose termios2 differs."""
         monkeypatch.setattr(serial, "_baudrate_of", lambda descriptor: None)
-        made = SerialPort(wire.client, baudrate=230_400)
-        made.open()
-        assert made.descriptor >= 0
-        made.close()
+        port_ = SerialPort(wire.client, baudrate=230_400)
+        port_.open()
+        assert port_.descriptor >= 0
+        port_.close()
 
     @pytest.mark.parametrize(
         ("settings", "text"),
@@ -208,21 +208,21 @@ class TestSettingsOfTheDriver:
         self, settings: Any, text: str, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """Pseudo-terminals refuse both, and are believed, because they have no line."""
-        made = SerialPort(wire.client, **settings)
-        made.open()
-        made.close()
+        port_ = SerialPort(wire.client, **settings)
+        port_.open()
+        port_.close()
         monkeypatch.setattr(serial, "PSEUDO_TERMINALS", ())
         with failing(errno.EINVAL, text):
-            made.open()
+            port_.open()
 
     def test_a_stop_bit_that_hardware_does_not_take_is_refused(self, wire: SerialWire, monkeypatch):
-        made = SerialPort(wire.client, parity="N", stop_bits=2)
+        port_ = SerialPort(wire.client, parity="N", stop_bits=2)
         monkeypatch.setattr(serial, "PSEUDO_TERMINALS", ())
-        made.open()
-        made.close()
+        port_.open()
+        port_.close()
         monkeypatch.setattr(termios, "CSTOPB", 0)
         with failing(errno.EINVAL, "stop_bits 2 refused: the port has 1"):
-            made.open()
+            port_.open()
 
     def test_a_port_that_refuses_says_which_rate(self, wire: SerialWire, monkeypatch) -> None:
         with monkeypatch.context() as patch:
@@ -298,24 +298,24 @@ class TestBytes:
 
 class TestReadOnly:
     @pytest.mark.parametrize("number", [errno.EINVAL, errno.EIO])
-    def test_settings_that_are_refused_are_told_and_nothing_stays_open(
+    def test_refused_settings_are_named_and_nothing_stays_open(
         self, number: int, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         def refuse(*_: object) -> None:
             raise termios.error(number, os.strerror(number))
 
-        made = ReadOnlySerialPort(wire.client)
+        port_ = ReadOnlySerialPort(wire.client)
         with monkeypatch.context() as patch:
             # The other end of the wire is held open by this process itself.
             patch.setattr(serial_devices, "other_user", lambda *_: None)
             patch.setattr(termios, "tcsetattr", refuse)
             with pytest.raises(ModbusConnectionError) as caught:
-                made.open()
-        refused = "the port refuses these settings"
-        told = refused if number == errno.EINVAL else os.strerror(number)
-        assert str(caught.value) == f"cannot open {wire.client}: {told}"
+                port_.open()
+        text = "the port refuses these settings"
+        reason = text if number == errno.EINVAL else os.strerror(number)
+        assert str(caught.value) == f"cannot open {wire.client}: {reason}"
         assert caught.value.errno == number
-        assert made.descriptor == -1
+        assert port_.descriptor == -1
         assert is_free(wire.client)
 
 
@@ -331,10 +331,10 @@ def dead_port(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     connect, connect_ex = socket.socket.connect, socket.socket.connect_ex
 
     def of_itself(method: Any) -> Any:
-        def connected(made: socket.socket, address: Any) -> Any:
+        def connected(sock: socket.socket, address: Any) -> Any:
             if address[1] == port:
-                made.bind(address)
-            return method(made, address)
+                sock.bind(address)
+            return method(sock, address)
 
         return connected
 
@@ -346,17 +346,17 @@ def dead_port(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         bound.bind(("127.0.0.1", port))
 
 
-def test_such_a_port_can_be_connected_to_itself(dead_port: int) -> None:
+def test_the_system_connects_an_unused_port_to_itself(dead_port: int) -> None:
     """The system does it: without this the other tests here would show nothing."""
-    with socket.socket() as made:
-        made.connect(("127.0.0.1", dead_port))
-        assert made.getsockname() == made.getpeername()
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, bytes([1, 0, 0, 0, 0, 0, 0, 0]))
+    with socket.socket() as sock:
+        sock.connect(("127.0.0.1", dead_port))
+        assert sock.getsockname() == sock.getpeername()
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, bytes([1, 0, 0, 0, 0, 0, 0, 0]))
 
 
 @ALL
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_clients(kind: str, scheme: str, dead_port: int, tmp_path: Path) -> None:
+def test_clients_refuse_such_a_port(kind: str, scheme: str, dead_port: int, tmp_path: Path) -> None:
     options: dict[str, Any] = {}
     if scheme == "tls":
         options["security"] = Pki(tmp_path).security(certificates.client())

@@ -30,16 +30,16 @@ from tests.support.peers import FakeUnit, until
 
 @pytest.fixture
 def wire() -> Iterator[SerialWire]:
-    with SerialWire() as made:
-        yield made
+    with SerialWire() as wire:
+        yield wire
 
 
 @pytest.fixture
 def port(wire: SerialWire) -> Iterator[SerialPort]:
-    made = SerialPort(wire.client, baudrate=115200)
-    made.open()
-    yield made
-    made.close()
+    port = SerialPort(wire.client, baudrate=115200)
+    port.open()
+    yield port
+    port.close()
 
 
 def test_after_a_byte_the_line_must_be_quiet() -> None:
@@ -49,7 +49,7 @@ def test_after_a_byte_the_line_must_be_quiet() -> None:
     assert silence.over_at == pytest.approx(10.004)
 
 
-def test_what_is_sent_takes_its_time_before_the_quiet_begins() -> None:
+def test_bytes_take_their_time_before_the_quiet_begins() -> None:
     """8 characters of 1 ms."""
     silence = Silence(0.004, character=0.001)
     silence.sent(8, 10)
@@ -77,9 +77,9 @@ def test_a_line_that_is_turned_round_is_ours_until_it_is_back() -> None:
     ],
 )
 def test_silence_and_characters_are_those_of_the_specification(settings, silence, character):
-    made = SerialPort("/dev/x", **settings)
-    assert made.silence.seconds == pytest.approx(silence)
-    assert made.silence.character == pytest.approx(character)
+    port_ = SerialPort("/dev/x", **settings)
+    assert port_.silence.seconds == pytest.approx(silence)
+    assert port_.silence.character == pytest.approx(character)
 
 
 def test_bad_setting_is_named(refused: Refused) -> None:
@@ -91,14 +91,14 @@ def test_settings_are_made_and_come_back_when_the_port_is_closed() -> None:
     try:
         tty.setcbreak(slave)
         before = termios.tcgetattr(slave)
-        made = SerialPort(os.ttyname(slave), baudrate=57600, stop_bits=2)
-        made.open()
+        port_ = SerialPort(os.ttyname(slave), baudrate=57600, stop_bits=2)
+        port_.open()
         during = termios.tcgetattr(slave)
         assert during[4] == termios.B57600
         assert during[2] & termios.CSTOPB
         assert not during[3] & (termios.ICANON | termios.ECHO)
-        made.close()
-        made.close()
+        port_.close()
+        port_.close()
         assert termios.tcgetattr(slave) == before
     finally:
         os.close(master)
@@ -108,20 +108,20 @@ def test_settings_are_made_and_come_back_when_the_port_is_closed() -> None:
 @each_case("baudrate", [50, 1800, 14400, 56000, 128000, 250000, 2000000])
 def test_baudrate_that_libmodbus_would_turn_into_9600_is_set(baudrate: int) -> None:
     with FakeUnit() as unit:
-        made = SerialPort(unit.path, baudrate=baudrate)
-        made.open()
+        port_ = SerialPort(unit.path, baudrate=baudrate)
+        port_.open()
         termios2 = fcntl.ioctl(unit._slave, 0x802C542A, bytes(44))
         assert int.from_bytes(termios2[-4:], sys.byteorder) == baudrate
-        made.close()
+        port_.close()
 
 
 def test_kernel_rs485_on_a_port_without_it_is_refused(wire: SerialWire) -> None:
     with pytest.raises(ModbusConnectionError, match="RS-485") as caught:
         SerialPort(wire.client, rs485="kernel").open()
     assert caught.value.errno == errno.ENOTTY
-    made = SerialPort(wire.client)  # and it was left
-    made.open()
-    made.close()
+    port_ = SerialPort(wire.client)  # and it was left
+    port_.open()
+    port_.close()
 
 
 @each_case(
@@ -153,7 +153,7 @@ def test_a_port_that_this_user_may_not_open_names_the_group(monkeypatch, wire: S
     assert caught.value.errno == errno.EACCES
 
 
-def test_a_second_one_on_the_same_port_is_told_of_for_unit(
+def test_a_second_client_on_a_port_is_told_of_for_unit(
     port: SerialPort, wire: SerialWire, tmp_path: Path
 ) -> None:
     link = tmp_path / "ttyPLC"
@@ -189,9 +189,9 @@ def test_a_port_of_another_program_says_so_and_is_free_when_that_ends(wire: Seri
         assert caught.value.errno == errno.EBUSY
         other.kill()
     for _ in range(2):
-        made = SerialPort(wire.client)
-        made.open()
-        made.close()
+        port_ = SerialPort(wire.client)
+        port_.open()
+        port_.close()
 
 
 def test_a_fork_leaves_the_port_alone(port: SerialPort, wire: SerialWire) -> None:
@@ -210,12 +210,12 @@ def test_a_fork_leaves_the_port_alone(port: SerialPort, wire: SerialWire) -> Non
 
 def test_a_port_that_is_abandoned_while_it_sends_touches_no_line(wire: SerialWire) -> None:
     """As in a forked child: RTS is its parent's; nor does what was begun complain later."""
-    made = SerialPort(wire.client, rs485="rts-up", rts_delay=0.02)
-    made.open()
-    made.send([b"never sent"], time.monotonic())
-    assert made.resume_at is not None
-    made.abandon()
-    made.close()
+    port_ = SerialPort(wire.client, rs485="rts-up", rts_delay=0.02)
+    port_.open()
+    port_.send([b"never sent"], time.monotonic())
+    assert port_.resume_at is not None
+    port_.abandon()
+    port_.close()
     gc.collect()
     assert wire.sent_by("client") == b""
 
@@ -228,7 +228,7 @@ def heard(port: SerialPort, wire: SerialWire, data: bytes) -> None:
     os.close(other)
 
 
-def test_what_was_thrown_away_between_poll_and_read_is_no_closed_port(
+def test_bytes_flushed_between_poll_and_read_are_no_closed_port(
     port: SerialPort, wire: SerialWire
 ) -> None:
     heard(port, wire, b"noise")
@@ -239,7 +239,7 @@ def test_what_was_thrown_away_between_poll_and_read_is_no_closed_port(
     assert port.receive() == [b"answer"]
 
 
-def test_what_came_before_the_port_was_opened_is_thrown_away(wire: SerialWire) -> None:
+def test_bytes_before_the_port_was_opened_are_dropped(wire: SerialWire) -> None:
     first = SerialPort(wire.client)
     first.open()
     heard(first, wire, b"late")
@@ -259,17 +259,17 @@ def test_a_port_that_is_gone_is_a_connection_error(port: SerialPort, wire: Seria
 
 def test_rts_is_held_while_it_sends(wire: SerialWire) -> None:
     """A character has 11 bits, and the delays are 20 ms each."""
-    made = SerialPort(wire.client, baudrate=1200, rs485="rts-up", rts_delay=0.02)
-    made.open()
-    made.send([b"12345678"], 100.0)
-    assert made.resume_at == pytest.approx(100.02)
+    port_ = SerialPort(wire.client, baudrate=1200, rs485="rts-up", rts_delay=0.02)
+    port_.open()
+    port_.send([b"12345678"], 100.0)
+    assert port_.resume_at == pytest.approx(100.02)
     assert wire.passed == []
-    made.go_on(100.02)
-    assert made.resume_at == pytest.approx(100.04 + 8 * 11 / 1200)
+    port_.go_on(100.02)
+    assert port_.resume_at == pytest.approx(100.04 + 8 * 11 / 1200)
     until(lambda: wire.sent_by("client") == b"12345678")
-    made.go_on(101.0)
-    assert made.resume_at is None
-    made.close()
+    port_.go_on(101.0)
+    assert port_.resume_at is None
+    port_.close()
 
 
 @pytest.fixture
@@ -307,7 +307,7 @@ def machine(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_what_the_system_knows(machine: Path) -> None:
+def test_serial_devices_are_described_from_sysfs(machine: Path) -> None:
     assert serial_devices(str(machine)) == [
         SerialDevice("/dev/ttyS0", state="free"),
         SerialDevice(
@@ -333,11 +333,11 @@ def test_ports_that_this_user_may_not_open(machine: Path) -> None:
     assert serial_devices(str(machine))[2].state == "not known"
 
 
-def test_the_command(machine: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_ports_shows_users(machine: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(ports, "serial_devices", lambda: serial_devices(str(machine)))
-    done = run("ports")
-    assert (done.code, done.err) == (0, "")
-    assert done.out == (
+    process = run("ports")
+    assert (process.code, process.err) == (0, "")
+    assert process.out == (
         "/dev/ttyUSB2   in use by minicom (77); ftdi_sio, 1a86, (1a86:7523)\n"
         "/dev/ttyUSB10  free; ftdi_sio, FTDI, USB-RS485 (0403:6001), serial number A10K\n"
         "               /dev/serial/by-id/usb-FTDI_A10K\n"

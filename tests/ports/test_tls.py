@@ -44,7 +44,7 @@ def test_a_client_of_its_own(pki: Pki) -> None:
         Client("tls://h")
 
 
-def test_each_option_of_a_url(pki: Pki, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_options_of_a_url_make_a_security(pki: Pki, monkeypatch: pytest.MonkeyPatch) -> None:
     files = pki.files(certificates.client(), SECRET.encode())
     monkeypatch.setenv("KEY_PASSWORD", SECRET)
     both = f"cert={files.cert}&key={files.key}&password_env=KEY_PASSWORD"
@@ -65,18 +65,18 @@ def test_each_option_of_a_url(pki: Pki, monkeypatch: pytest.MonkeyPatch) -> None
         ({"key": "LOCKED", "password_env": "EMPTY"}, "key 'LOCKED'"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_told(pki: Pki, monkeypatch, change, text) -> None:
+def test_the_fault_of_a_file_is_named(pki: Pki, monkeypatch, change, text) -> None:
     monkeypatch.setenv("WRONG", "close sesame")
     monkeypatch.setenv("EMPTY", "")
     own = pki.files(certificates.client())
-    known = {
+    files = {
         "CERT": own.cert,
         "KEY": own.key,
         "OTHER": pki.files(certificates.server()).key,
         "LOCKED": pki.files(certificates.client(), SECRET.encode()).key,
     }
     options = {"cert": "CERT", "key": "KEY", "ca": str(pki.ca), **change}
-    for name, file in known.items():
+    for name, file in files.items():
         options = {each: str(file) if value == name else value for each, value in options.items()}
         text = text.replace(f"'{name}'", repr(str(file)))
     url = "tls://h?" + "&".join(f"{name}={value}" for name, value in options.items())

@@ -117,7 +117,7 @@ def test_bytes_that_are_no_frame_have_neither(scheme: str) -> None:
     assert (each.pdu, each.transaction) == (b"", None)
 
 
-def test_it_is_the_tuple_it_was() -> None:
+def test_a_traced_frame_is_a_tuple_of_seven() -> None:
     each = Traced(1.5, "tcp://h:502", "sent", MBAP, 17, 3, "192.0.2.7:51234")
     assert tuple(each) == (1.5, "tcp://h:502", "sent", MBAP, 17, 3, "192.0.2.7:51234")
     assert str(each) == f"tcp://h:502 192.0.2.7:51234 > unit 17, function 3: {MBAP.hex(' ')}"

@@ -47,8 +47,8 @@ def server(**options: Any) -> Server:
 
 def stale(path: str) -> None:
     """Leave the file of a server that died."""
-    with socket.socket(socket.AF_UNIX) as made:
-        made.bind(path)
+    with socket.socket(socket.AF_UNIX) as sock:
+        sock.bind(path)
 
 
 def test_a_blocking_client_reads_and_writes(path: str) -> None:
@@ -99,9 +99,9 @@ def test_the_owner_and_the_group_may_connect_whatever_the_umask_is(path: str) ->
 @pytest.fixture
 def open_folder() -> Iterator[str]:
     """A folder in which every user may make files."""
-    with tempfile.TemporaryDirectory() as made:
-        os.chmod(made, 0o777)
-        yield made
+    with tempfile.TemporaryDirectory() as folder:
+        os.chmod(folder, 0o777)
+        yield folder
 
 
 def by_another_user(call: Callable[[], object]) -> int:
@@ -135,7 +135,7 @@ def test_a_server_that_was_killed_as_it_began_does_not_keep_its_user_out(open_fo
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may become another user")
-def test_who_is_neither_owner_nor_of_the_group_may_not_connect(open_folder: str) -> None:
+def test_users_but_owner_and_group_may_not_connect(open_folder: str) -> None:
     url = f"unix://{open_folder}/m.sock"
 
     def connect() -> None:
@@ -153,7 +153,7 @@ def test_a_server_ends_although_its_folder_is_gone(path: str) -> None:
     assert not os.path.exists(path)
 
 
-def test_who_is_connected_stays_with_its_server_when_the_path_gets_another(path: str) -> None:
+def test_a_client_stays_with_its_server_when_the_path_gets_another(path: str) -> None:
     with server().background(f"unix://{path}"), Client(f"unix://{path}") as first:
         os.unlink(path)
         with server().background(f"unix://{path}"), Client(f"unix://{path}") as second:
@@ -202,10 +202,10 @@ async def test_of_listeners_in_one_loop_one_gets_a_path(path: str) -> None:
     stale(path)
     listeners = [UnixListener(path) for _ in range(3)]
     opening = (each.open() for each in listeners)
-    made, *others = await asyncio.gather(*opening, return_exceptions=True)
+    listener, *others = await asyncio.gather(*opening, return_exceptions=True)
     assert [getattr(each, "errno", 0) for each in others] == [errno.EADDRINUSE] * 2
-    assert isinstance(made, socket.socket)
-    for each in (*listeners[1:], made):
+    assert isinstance(listener, socket.socket)
+    for each in (*listeners[1:], listener):
         each.close()
     assert os.path.exists(path)
     listeners[0].close()
@@ -214,9 +214,9 @@ async def test_of_listeners_in_one_loop_one_gets_a_path(path: str) -> None:
 
 def test_a_path_of_a_server_that_is_busy_is_in_use(path: str) -> None:
     """Its backlog is full, so that it accepts nobody."""
-    with socket.socket(socket.AF_UNIX) as made, socket.socket(socket.AF_UNIX) as client:
-        made.bind(path)
-        made.listen(0)
+    with socket.socket(socket.AF_UNIX) as sock, socket.socket(socket.AF_UNIX) as client:
+        sock.bind(path)
+        sock.listen(0)
         client.connect(path)
         refused(path, errno.EADDRINUSE, "in use")
         with pytest.raises(ModbusConnectionError, match="unavailable"):
@@ -224,8 +224,8 @@ def test_a_path_of_a_server_that_is_busy_is_in_use(path: str) -> None:
 
 
 def test_a_socket_for_datagrams_is_in_use(path: str) -> None:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as made:
-        made.bind(path)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
+        sock.bind(path)
         refused(path, errno.EADDRINUSE, "in use")
     assert os.path.exists(path)
 
@@ -388,25 +388,25 @@ def test_what_is_no_server_is_a_connection_error_of_both_clients(kind: str) -> N
 
 
 def test_a_client_is_named_by_the_path_its_user_and_its_process(path: str) -> None:
-    audited: list[Any] = []
-    traced: list[Any] = []
-    made = server(audit=audited.append, trace=traced.append)
-    with made.background(f"unix://{path}"), Client(f"unix://{path}") as client:
+    events: list[Any] = []
+    frames: list[Any] = []
+    server_ = server(audit=events.append, trace=frames.append)
+    with server_.background(f"unix://{path}"), Client(f"unix://{path}") as client:
         client.write_register(0, 5)
     name = f"{path} uid {os.getuid()} pid {os.getpid()}"
-    assert {each.peer for each in audited} == {"", name}
-    assert {each.peer for each in traced} == {name}
+    assert {each.peer for each in events} == {"", name}
+    assert {each.peer for each in frames} == {name}
     assert host_of_peer(name) == f"{path} uid {os.getuid()}"
 
 
 def test_networks_do_not_concern_paths_but_the_limits_of_one_address_do(path: str) -> None:
     limits = Limits(allow=["192.0.2.0/24"], connections_per_address=1, when_full="refuse")
-    made = server(limits=limits)
-    with made.background(f"unix://{path}"), Client(f"unix://{path}") as client:
+    server_ = server(limits=limits)
+    with server_.background(f"unix://{path}"), Client(f"unix://{path}") as client:
         assert client.read_holding_registers(0, 1) == [1]
         with Client(f"unix://{path}") as other, pytest.raises(ModbusConnectionError):
             other.read_holding_registers(0, 1)
-        assert made.statistics.refused_address >= 1
+        assert server_.statistics.refused_address >= 1
 
 
 def test_the_path_is_the_name_of_a_client_that_has_gone(path: str) -> None:

@@ -39,9 +39,9 @@ BEFORE_ANY_DEADLINE = 5.0
 
 @pytest.fixture
 def waker() -> Iterator[Waker]:
-    made = Waker()
-    yield made
-    made.close()
+    waker = Waker()
+    yield waker
+    waker.close()
 
 
 @pytest.fixture(params=["polling", "event loop"])
@@ -63,7 +63,7 @@ def soon(seconds: float = 0.2) -> float:
     return time.monotonic() + seconds
 
 
-def test_what_is_ready_is_told(drive: Drive, pair: tuple[socket.socket, socket.socket]) -> None:
+def test_steps_get_what_is_ready(drive: Drive, pair: tuple[socket.socket, socket.socket]) -> None:
     one, other = pair
 
     def steps() -> Steps[list[bool]]:
@@ -87,7 +87,7 @@ def test_a_deadline_that_has_passed_is_none_to_wait_for(
     assert drive(steps()) is False
 
 
-def test_what_steps_raise_comes_out(drive: Drive) -> None:
+def test_errors_of_steps_are_raised(drive: Drive) -> None:
     def steps() -> Steps[None]:
         yield from ()
         raise ZeroDivisionError
@@ -104,16 +104,16 @@ def resolving(host: str, seconds: float = 5) -> Steps[Any]:
 
 
 @pytest.fixture
-def named(monkeypatch: pytest.MonkeyPatch) -> str:
+def own_name(monkeypatch: pytest.MonkeyPatch) -> str:
     """A name of this machine, which need not have /etc/hosts."""
     resolve(monkeypatch, "this-machine", "127.0.0.1")
     return "this-machine"
 
 
-def test_names_and_addresses_are_looked_up(drive: Drive, named: str) -> None:
+def test_names_and_addresses_are_looked_up(drive: Drive, own_name: str) -> None:
     assert [each[4] for each in drive(resolving("127.0.0.1"))] == [("127.0.0.1", 502)]
     assert [each[4][:2] for each in drive(resolving("::1"))] == [("::1", 502)]
-    assert "127.0.0.1" in [each[4][0] for each in drive(resolving(named))]
+    assert "127.0.0.1" in [each[4][0] for each in drive(resolving(own_name))]
 
 
 @pytest.mark.parametrize("host", ["no-such-host.invalid", "x" * 300, "a..b"])
@@ -123,16 +123,16 @@ def test_a_name_that_nobody_has_is_an_os_error(drive: Drive, host: str) -> None:
 
 def addresses(monkeypatch: pytest.MonkeyPatch, *ports: int) -> None:
     """A name with an address for each port."""
-    found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port)) for port in ports]
-    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
+    answers = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port)) for port in ports]
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: answers)
 
 
 def test_a_dead_address_leaves_the_others_their_share_of_the_time(monkeypatch) -> None:
     clock = SimpleNamespace(monotonic=lambda: 100.0)
     monkeypatch.setattr("libmodbus_py.ports.sockets.time", clock)
     with dead() as port, dead() as other, socket.create_server(("127.0.0.1", 0)) as listener:
-        made = TcpPort("three-addresses.invalid", 502, None)
-        steps = made.opening(106.0)
+        port_ = TcpPort("three-addresses.invalid", 502, None)
+        steps = port_.opening(106.0)
         next(steps)
         addresses = [
             (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", number))
@@ -145,8 +145,8 @@ def test_a_dead_address_leaves_the_others_their_share_of_the_time(monkeypatch) -
         assert steps.send(False)[1:] == (WRITE, 106.0)
         with pytest.raises(StopIteration):
             steps.send(True)
-        assert made.descriptor >= 0
-        made.close()
+        assert port_.descriptor >= 0
+        port_.close()
 
 
 def test_all_addresses_together_take_no_longer_than_the_deadline(drive: Drive, monkeypatch) -> None:
@@ -160,59 +160,59 @@ def test_all_addresses_together_take_no_longer_than_the_deadline(drive: Drive, m
 
 
 def test_a_refused_address_costs_no_time(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
-    with socket.socket() as refusing, socket.create_server(("127.0.0.1", 0)) as listener:
-        refusing.bind(("127.0.0.1", 0))
-        addresses(monkeypatch, refusing.getsockname()[1], listener.getsockname()[1])
-        made = TcpPort("two-addresses.invalid", 502, None)
+    with socket.socket() as sock, socket.create_server(("127.0.0.1", 0)) as listener:
+        sock.bind(("127.0.0.1", 0))
+        addresses(monkeypatch, sock.getsockname()[1], listener.getsockname()[1])
+        port = TcpPort("two-addresses.invalid", 502, None)
         start = time.monotonic()
-        drive(made.opening(start + 20))
+        drive(port.opening(start + 20))
         assert time.monotonic() - start < BEFORE_ANY_DEADLINE
-        made.close()
+        port.close()
 
 
 @pytest.mark.parametrize(
     "host", ["this-machine", pytest.param("::1", marks=NEEDS_IPV6), "127.0.0.1"]
 )
-@pytest.mark.usefixtures("named")
+@pytest.mark.usefixtures("own_name")
 def test_every_address_of_a_name_is_tried(drive: Drive, host: str) -> None:
     family = socket.AF_INET6 if host == "::1" else socket.AF_INET
     place = ("::1" if host == "::1" else "127.0.0.1", 0)
     with socket.create_server(place, family=family) as listener:
-        made = TcpPort(host, listener.getsockname()[1], None)
-        drive(made.opening(soon(5)))
-        assert made.descriptor >= 0
-        made.close()
-        assert made.descriptor == -1
+        port = TcpPort(host, listener.getsockname()[1], None)
+        drive(port.opening(soon(5)))
+        assert port.descriptor >= 0
+        port.close()
+        assert port.descriptor == -1
 
 
 def test_udp_is_connected_at_once(drive: Drive) -> None:
-    made = UdpPort("127.0.0.1", 502)
-    drive(made.opening(soon()))
-    assert made.receive() == []
-    made.close()
+    port = UdpPort("127.0.0.1", 502)
+    drive(port.opening(soon()))
+    assert port.receive() == []
+    port.close()
 
 
 def test_udp_tells_a_closed_port_after_what_came_and_sends_to_it_once_it_is_open() -> None:
     def listener(port: int = 0) -> socket.socket:
-        made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        made.bind(("127.0.0.1", port))
-        made.settimeout(5)
-        return made
+        port_ = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        port_.bind(("127.0.0.1", port))
+        port_.settimeout(5)
+        return port_
 
     with listener() as first:
-        made = UdpPort("127.0.0.1", port := first.getsockname()[1])
-        asyncio.run(run_async(made.opening(soon())))
-        made.send([b"hello"], 0.0)
+        port_ = UdpPort("127.0.0.1", port := first.getsockname()[1])
+        asyncio.run(run_async(port_.opening(soon())))
+        port_.send([b"hello"], 0.0)
         first.sendto(b"answer", first.recvfrom(5)[1])
-    made.send([b"lost"], 0.0)
+    port_.send([b"lost"], 0.0)
     with listener(port) as again:
-        made.send([b"request"], 0.0)
+        port_.send([b"request"], 0.0)
         assert again.recv(100) == b"request"
-    made.send([b"lost"], 0.0)
-    assert made.receive() == [b"answer"]
+    port_.send([b"lost"], 0.0)
+    assert port_.receive() == [b"answer"]
     with pytest.raises(ModbusConnectionError, match="refused"):
-        made.receive()
-    made.close()
+        port_.receive()
+    port_.close()
 
 
 def descriptors() -> int:
@@ -238,7 +238,7 @@ def woken_after(waker: Waker, condition: Callable[[], object] = lambda: True) ->
     assert descriptors() == before
 
 
-def test_woken_while_it_connects(waker: Waker) -> None:
+def test_a_wake_ends_an_attempt_to_connect(waker: Waker) -> None:
     with dead() as port, woken_after(waker):
         run(TcpPort("127.0.0.1", port, None).opening(soon(10)), waker)
 
@@ -248,7 +248,7 @@ def test_woken_in_a_pause(waker: Waker) -> None:
         waker.wait(-1, READ, soon(10))
 
 
-def test_what_was_seen_wakes_no_more(waker: Waker) -> None:
+def test_a_cleared_waker_wakes_no_more(waker: Waker) -> None:
     waker.clear()
     waker.wake()
     waker.wake()
@@ -261,7 +261,7 @@ def test_what_was_seen_wakes_no_more(waker: Waker) -> None:
     waker.clear()
 
 
-def test_what_was_woken_before_it_waits_does_not_wait(waker: Waker) -> None:
+def test_a_waker_woken_before_a_wait_ends_it_at_once(waker: Waker) -> None:
     waker.wake()
     waker.wake()
     for _ in range(2):
@@ -322,17 +322,17 @@ class Counted:
 @pytest.mark.parametrize("seconds", [0.0, 0.5, 1.0, 1.0005, 90_000.5])
 def test_the_system_waits_a_second_at_a_time(seconds, monkeypatch) -> None:
     """A signal just before a wait does not end it: its handler must not wait for a timeout."""
-    counted = Counted()
-    monkeypatch.setattr(select, "poll", lambda: counted)
+    polls = Counted()
+    monkeypatch.setattr(select, "poll", lambda: polls)
     waker = Waker()
-    waker.now = lambda: counted.now
+    waker.now = lambda: polls.now
     waker.watch(-1)
     for wait in (
         lambda: waker.is_ready(seconds),
-        lambda: waker.wait(-1, READ, counted.now + seconds),
+        lambda: waker.wait(-1, READ, polls.now + seconds),
     ):
-        before = counted.now
+        before = polls.now
         assert not wait()
-        assert seconds <= counted.now - before <= seconds + 0.0011
-    assert max(counted.waits) <= 1000
+        assert seconds <= polls.now - before <= seconds + 0.0011
+    assert max(polls.waits) <= 1000
     waker.close()

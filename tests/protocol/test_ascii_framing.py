@@ -107,8 +107,8 @@ class TestAscii:
         assert errors
         frames, errors = [], []
         for byte in single_bytes(bad + self.good):
-            found, rejected = take(framer, byte)
-            frames += found
+            accepted, rejected = take(framer, byte)
+            frames += accepted
             errors += rejected
         assert frames == [READ]
         assert errors
@@ -125,10 +125,10 @@ class TestAscii:
     def test_delimiter_can_be_changed(self) -> None:
         framer = AsciiFramer()
         framer.delimiter = ord("#")
-        changed = self.good[:-1] + b"#"
-        assert framer.encode(READ) == changed
-        assert take(framer, changed * 2) == ([READ] * 2, [])
-        frames, errors = take(framer, self.good + changed)
+        other = self.good[:-1] + b"#"
+        assert framer.encode(READ) == other
+        assert take(framer, other * 2) == ([READ] * 2, [])
+        frames, errors = take(framer, self.good + other)
         assert frames == [READ]
         assert len(errors) == 1
         framer.delimiter = 0x0A

@@ -80,7 +80,7 @@ class TestErrors:
                 decode([0] * count, name)
 
     @each_case(
-        ("registers", "error", "named"),
+        ("registers", "error", "message"),
         [
             ([0, -1], ValueError, r"registers\[1\] must be in 0\.\.65535, not -1"),
             ([65536, 0], ValueError, r"registers\[0\] must be in 0\.\.65535, not 65536"),
@@ -103,8 +103,8 @@ class TestErrors:
         ],
         ids=["decode", "decode_many", "readings"],
     )
-    def test_registers_are_registers(self, function, registers, error, named) -> None:
-        with pytest.raises(error, match=named):
+    def test_wrong_registers_are_refused(self, function, registers, error, message) -> None:
+        with pytest.raises(error, match=message):
             function(registers)
 
     @each_case("registers", [(1, 2), array("H", [1, 2]), range(1, 3), (at for at in (1, 2))])

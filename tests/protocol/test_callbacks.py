@@ -97,14 +97,14 @@ TAKING: dict[str, Callable[[Any], object]] = {
 
 @pytest.mark.parametrize("name", TAKING)
 @each_case("call", DELAYED)
-def test_what_does_not_run_when_called_is_refused(name: str, call: Any) -> None:
+def test_delayed_functions_are_refused(name: str, call: Any) -> None:
     with pytest.raises(TypeError, match="must be a plain function"):
         TAKING[name](call)
 
 
 @pytest.mark.parametrize("name", TAKING)
 @each_case("call", [7, "print", {}])
-def test_what_cannot_be_called_is_refused(name: str, call: Any) -> None:
+def test_values_that_are_no_function_are_refused(name: str, call: Any) -> None:
     with pytest.raises(TypeError, match="must be a function"):
         TAKING[name](call)
 
@@ -115,7 +115,7 @@ class Plain:
 
 
 @each_case("call", [print, Plain(), Plain, partial(print, 1), Mock(), lambda: waits(), str.upper])
-def test_other_functions_are_taken(call: Any) -> None:
+def test_callables_that_return_no_coroutine_are_taken(call: Any) -> None:
     assert checked_callback("call", call) is call
 
 
@@ -129,11 +129,11 @@ WRITE = pdu.WriteRegister(3, 77).encode()
 
 @pytest.mark.parametrize("name", ["before_write", "after_write", "authorize"])
 def test_a_hook_that_returns_a_coroutine_is_a_failure(name, caplog) -> None:
-    made = device(**{name: hidden})
-    assert made.answer(WRITE) == b"\x86\x04"
+    device_ = device(**{name: hidden})
+    assert device_.answer(WRITE) == b"\x86\x04"
     assert "which nothing awaits" in caplog.text
     if name != "after_write":
-        assert made.mapping.holding_registers[3] == 0
+        assert device_.mapping.holding_registers[3] == 0
 
 
 def test_a_handler_that_returns_a_coroutine_is_a_failure() -> None:
@@ -141,8 +141,8 @@ def test_a_handler_that_returns_a_coroutine_is_a_failure() -> None:
 
 
 def test_a_result_that_something_runs_already_is_taken() -> None:
-    done: Any = object()
-    assert finished("after_write", done) is done
+    task: Any = object()
+    assert finished("after_write", task) is task
     assert finished("after_write", [1]) == [1]
 
 
@@ -152,7 +152,7 @@ def test_a_result_of_which_nothing_ran_is_refused(make: Callable[[], object]) ->
         finished("hook", make())
 
 
-def test_a_log_that_fails_is_told_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_that_fails_is_reported_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
     class Broken(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
             raise OSError("disk full")
@@ -165,9 +165,9 @@ def test_a_log_that_fails_is_told_on_stderr(capsys: pytest.CaptureFixture[str]) 
         log_failure(logger.name, "%s failed", "it")
     finally:
         logger.removeHandler(handler)
-    told = capsys.readouterr().err
-    assert "disk full" in told
-    assert "ZeroDivisionError" in told
+    message = capsys.readouterr().err
+    assert "disk full" in message
+    assert "ZeroDivisionError" in message
 
 
 PACKAGE = "libmodbus_py"

@@ -12,7 +12,7 @@ from tests.support.golden import Refused
 
 
 def test_a_number_has_to_be_in_its_range(refused: Refused) -> None:
-    refused("wrong_numbers.txt", lambda given: number("scale", given[0], 0, given[1]))
+    refused("wrong_numbers.txt", lambda case: number("scale", case[0], 0, case[1]))
 
 
 def test_seconds_have_to_be_in_their_range(refused: Refused) -> None:

@@ -33,17 +33,17 @@ KNOWN = ["unit", "timeout", "retries"]
 )
 def test_an_option_is_named_by_what_other_packages_call_it(name: str, end: str) -> None:
     *others, name = name.split()
-    known = [*KNOWN, *others]
-    assert close_option(name, known) == end
-    error = unknown_option(name, known)
-    assert str(error) == f"'{name}' must be one of {', '.join(known)}{end}"
+    names = [*KNOWN, *others]
+    assert close_option(name, names) == end
+    error = unknown_option(name, names)
+    assert str(error) == f"'{name}' must be one of {', '.join(names)}{end}"
 
 
 def test_up_to_three_names_are_close() -> None:
     names = [f"point_{each}" for each in "abcd"]
-    found = close_to("point_x", names, "points.")
-    assert found.startswith("; did you mean points.point_")
-    assert found.count("points.") == 3
+    hint = close_to("point_x", names, "points.")
+    assert hint.startswith("; did you mean points.point_")
+    assert hint.count("points.") == 3
     assert close_to(7, names) == close_to("far", names) == ""
 
 
@@ -68,7 +68,7 @@ def test_an_argument_that_a_class_does_not_take_is_refused_with_a_close_name() -
         Valve(3, time_out=2)  # type: ignore[call-arg]
 
 
-def test_other_mistakes_are_told_as_python_tells_them() -> None:
+def test_other_mistakes_are_errors_of_python() -> None:
     with pytest.raises(TypeError, match="missing 1 required positional argument: 'unit'"):
         Valve()  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="unsupported operand"):
@@ -126,12 +126,12 @@ def registers_of(form: str, order: str, value: float) -> list[int]:
 def rank(form: str, order: str, value: float) -> int:
     """The place of the value, from 0 on; of signed and unsigned types that are equal, of either."""
     kind = NAMES[form.lower()]
-    (packed,) = struct.unpack(f">{form}", struct.pack(f">{form}", value))
-    found = [
+    (number,) = struct.unpack(f">{form}", struct.pack(f">{form}", value))
+    candidates = [
         (each.type.removeprefix("u"), each.value)
         for each in readings(registers_of(form, order, value))
     ]
-    return found.index((kind, packed))
+    return candidates.index((kind, number))
 
 
 def test_public_examples_are_among_the_first_three() -> None:

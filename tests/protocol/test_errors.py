@@ -34,7 +34,7 @@ TOLD: dict[str, Any] = {
 KINDS = [getattr(errors, name) for name in errors.__all__]
 
 
-def test_repr_says_it_all() -> None:
+def test_repr_shows_every_attribute() -> None:
     assert repr(IllegalDataAddress(**TOLD)) == (
         "IllegalDataAddress('illegal data address (exception 2)', code=2, unit=17, function=3,"
         " asked='ReadHoldingRegisters(address=1, count=2)', endpoint='tcp://192.0.2.10:502',"
@@ -83,13 +83,13 @@ def test_the_first_600_bytes_are_kept_whoever_sets_them(kind: type[ModbusError])
 @each_case(
     "double", [copy.copy, copy.deepcopy, alike, lambda each: pickle.loads(pickle.dumps(each))]
 )
-def test_copies_keep_it_all(kind: Any, double: Callable[[Any], Any]) -> None:
-    made = kind("x", **TOLD, **({"errno": 5} if kind is ModbusConnectionError else {}))
-    assert repr(double(made)) == repr(made)
-    assert {name: getattr(double(made), name) for name in TOLD} == TOLD
-    assert vars(double(made)) == vars(made)
+def test_copies_keep_every_attribute(kind: Any, double: Callable[[Any], Any]) -> None:
+    error = kind("x", **TOLD, **({"errno": 5} if kind is ModbusConnectionError else {}))
+    assert repr(double(error)) == repr(error)
+    assert {name: getattr(double(error), name) for name in TOLD} == TOLD
+    assert vars(double(error)) == vars(error)
     for name in ("args", "errno", "strerror", "filename"):
-        assert getattr(double(made), name, None) == getattr(made, name, None)
+        assert getattr(double(error), name, None) == getattr(error, name, None)
 
 
 def test_a_received_bytearray_is_kept_as_bytes() -> None:

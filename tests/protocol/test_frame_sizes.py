@@ -25,16 +25,16 @@ def test_the_longest_frame_has_the_size_that_its_framing_allows(framing, size) -
 @pytest.mark.parametrize("framing", dict(LONGEST))
 def test_the_longest_request_arrives(framing: Framing) -> None:
     framer = make_framer(framing, "server")
-    found = framer.scan(framer.encode(Frame(1, PDU))) + framer.scan_silence()
-    assert [each[:2] for each in found if isinstance(each, Frame)] == [(1, PDU)]
+    frames = framer.scan(framer.encode(Frame(1, PDU))) + framer.scan_silence()
+    assert [each[:2] for each in frames if isinstance(each, Frame)] == [(1, PDU)]
 
 
 def errors(framing: Framing, data: bytes) -> list[FrameError]:
     framer = make_framer(framing, "server")
-    found = framer.scan(data) + framer.scan_silence()
-    assert found
-    assert all(isinstance(each, FrameError) for each in found), found
-    return [each for each in found if isinstance(each, FrameError)]
+    results = framer.scan(data) + framer.scan_silence()
+    assert results
+    assert all(isinstance(each, FrameError) for each in results), results
+    return [each for each in results if isinstance(each, FrameError)]
 
 
 def test_only_too_many_characters_are_an_overrun() -> None:
@@ -76,8 +76,8 @@ def test_as_many_frames_are_cut_out_as_are_wanted() -> None:
     frames = [mbap(3, bytes([17, 3, at]), transaction=at) for at in range(5)]
     data = b"\xff" + b"".join(frames)
     for most in range(7):
-        found: list[Frame | FrameError] = []
-        end = cut(data, 1, found, most)
+        results: list[Frame | FrameError] = []
+        end = cut(data, 1, results, most)
         count = min(most, 5)
-        assert found == [Frame(17, bytes([3, at]), at) for at in range(count)]
+        assert results == [Frame(17, bytes([3, at]), at) for at in range(count)]
         assert end == 1 + 9 * count

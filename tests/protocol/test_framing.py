@@ -109,7 +109,7 @@ class TestChecksums:
         assert lrc(checksum.data + bytes([checksum.lrc])) == 0
 
 
-def test_checksums_of_nothing() -> None:
+def test_checksums_of_no_bytes_are_their_initial_values() -> None:
     assert crc16(b"") == 0xFFFF
     assert lrc(b"") == 0
 
@@ -123,7 +123,7 @@ class TestMakeFramer:
         frame = REFUSAL if role == "client" else READ
         assert make_framer("rtu", role).feed(rtu(*frame[:2])) == [frame]
 
-    def test_others_are_refused_by_name(self) -> None:
+    def test_unknown_framings_and_roles_are_refused_by_name(self) -> None:
         for bad in ("tls", "", None, 1):
             with pytest.raises(ValueError, match=r"^framing must be"):
                 make_framer(bad, "client")  # type: ignore[arg-type]
@@ -201,7 +201,7 @@ class TestTcp:
             with pytest.raises(FrameError):
                 framer.feed(self.good)
 
-    def test_silence_means_nothing(self) -> None:
+    def test_silence_ends_no_frame_of_tcp(self) -> None:
         framer = TcpFramer()
         for byte in single_bytes(self.good[:-1]):
             assert framer.feed(byte) == []
@@ -305,18 +305,18 @@ class TestWhateverComes:
         flood = pattern * (65536 // len(pattern))
         began = time.process_time()
         for at in range(0, len(flood), size):
-            found = framer.scan(flood[at : at + size])
-            assert len(found) <= 8
-            assert all(isinstance(each, FrameError) for each in found)
-            assert all(len(each.received) <= 600 for each in found)  # type: ignore[union-attr]
+            results = framer.scan(flood[at : at + size])
+            assert len(results) <= 8
+            assert all(isinstance(each, FrameError) for each in results)
+            assert all(len(each.received) <= 600 for each in results)  # type: ignore[union-attr]
             assert framer.pending <= PENDING[type(framer)]
         # At most 3 us a byte, and 4 us a call; the rest is for slow and busy machines.
         assert time.process_time() - began < 1 + 40e-6 * len(flood) / size
 
     def test_errors_are_left_out_in_one_row_only(self) -> None:
         bad, good = b":1103006B00037F\r\n", b":1103006B00037E\r\n"
-        found = AsciiFramer().scan(bad * 3 + good + bad * 20 + good + bad)
-        assert [type(each) for each in found] == [
+        results = AsciiFramer().scan(bad * 3 + good + bad * 20 + good + bad)
+        assert [type(each) for each in results] == [
             *[FrameError] * 3,
             Frame,
             *[FrameError] * 8,

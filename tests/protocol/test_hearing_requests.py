@@ -18,24 +18,24 @@ ASKED = Frame(1, READ[1:-2])
 
 
 def framer_of(*units: int) -> RtuFramer:
-    made = RtuFramer("server")
-    made.is_ours = lambda unit: unit in units
-    return made
+    framer = RtuFramer("server")
+    framer.is_ours = lambda unit: unit in units
+    return framer
 
 
 def heard(*bursts: bytes, size: int = 999, unit: int = 1) -> Found:
     """Everything that a unit finds in bursts, which come in pieces and end with silence."""
     framer = framer_of(unit)
-    found: Found = []
+    results: Found = []
     for burst in bursts:
         for at in range(0, len(burst), size):
-            found += framer.scan(burst[at : at + size])
-        found += framer.scan_silence()
-    return found
+            results += framer.scan(burst[at : at + size])
+        results += framer.scan_silence()
+    return results
 
 
-def requests(found: Found, unit: int = 1) -> list[Frame]:
-    return [each for each in found if type(each) is Frame and each.unit == unit]
+def requests(results: Found, unit: int = 1) -> list[Frame]:
+    return [each for each in results if type(each) is Frame and each.unit == unit]
 
 
 def with_data(head: str, *data: bytes) -> bytes:
@@ -69,9 +69,9 @@ AROUND = {
 def test_nothing_within_a_frame_of_others_is_a_request(name: str, size: int) -> None:
     ask, answer = AROUND[name]
     for bursts in ((ask, answer), (ask + answer,), (answer,), (ask, answer, ask, answer)):
-        found = heard(*bursts, size=size)
-        assert requests(found) == [], bursts
-        assert not any(isinstance(each, FrameError) for each in found), (bursts, found)
+        results = heard(*bursts, size=size)
+        assert requests(results) == [], bursts
+        assert not any(isinstance(each, FrameError) for each in results), (bursts, results)
 
 
 @each_case("size", [1, 3, 999])
@@ -95,8 +95,8 @@ def test_a_refusal_of_others_behind_a_request_is_one_frame() -> None:
     """Of a function without a class, whose refusal may have any length."""
     others = rtu("02 C1 11 22 33 44")
     for size in (1, 999):
-        found = heard(READ + others, size=size)
-        assert found == [ASKED, Overheard(2, others[1:-2])]
+        results = heard(READ + others, size=size)
+        assert results == [ASKED, Overheard(2, others[1:-2])]
 
 
 def test_where_a_frame_without_a_length_ends_is_not_guessed() -> None:
@@ -119,9 +119,9 @@ def test_an_awaited_answer_is_longer_than_the_request_that_its_first_bytes_are()
     begin = rtu("02 03 14 00 07 00")
     answer = with_data("", begin, WRITE, bytes(23 - len(begin) - len(WRITE)))
     for size in (1, 8, 9, 999):
-        found = heard(rtu("02 03 0000 000A"), answer, size=size)
-        assert requests(found) == []
-        assert found[-1] == Overheard(2, answer[1:-2])
+        results = heard(rtu("02 03 0000 000A"), answer, size=size)
+        assert requests(results) == []
+        assert results[-1] == Overheard(2, answer[1:-2])
         # Nor if its request was not heard.
         assert requests(heard(answer, size=size)) == []
 
@@ -137,17 +137,17 @@ def test_a_request_in_damage_counts_only_close_to_the_silence() -> None:
         assert requests(heard(noise + READ)) == [ASKED], noise
         assert requests(heard(noise + READ + WRITE)) == [ASKED, WRITTEN], noise
         for size in range(1, 7):
-            expected = [ASKED] if len(noise) <= 4 and size <= 4 else []
-            assert requests(heard(noise + READ + bytes(size))) == expected, (noise, size)
+            frames = [ASKED] if len(noise) <= 4 and size <= 4 else []
+            assert requests(heard(noise + READ + bytes(size))) == frames, (noise, size)
     # What may be the beginning of an awaited answer lasts until the next burst.
-    begun, ask = b"\2\3\x10\xff", rtu("02 03 0000 0008")
-    assert requests(heard(ask, begun + READ)) == []
-    assert requests(heard(ask, begun + READ, READ)) == [ASKED]
-    assert requests(heard(begun + READ)) == [ASKED]
-    damaged = bytearray(AROUND["an answer to a read"][1])
-    damaged[3] ^= 1
-    assert requests(heard(bytes(damaged))) == []
-    assert requests(heard(bytes(damaged), READ)) == [ASKED]
+    head, ask = b"\2\3\x10\xff", rtu("02 03 0000 0008")
+    assert requests(heard(ask, head + READ)) == []
+    assert requests(heard(ask, head + READ, READ)) == [ASKED]
+    assert requests(heard(head + READ)) == [ASKED]
+    frame = bytearray(AROUND["an answer to a read"][1])
+    frame[3] ^= 1
+    assert requests(heard(bytes(frame))) == []
+    assert requests(heard(bytes(frame), READ)) == [ASKED]
 
 
 # Bytes that transceivers add: of a line that is low, high or floats, and beginnings of frames.
@@ -162,11 +162,11 @@ def test_a_request_between_noise_is_found(before: bytes, behind: bytes, size: in
         if vector.pdu[0] in NO_LENGTH and behind.startswith(b"\0"):
             continue  # behind a CRC that fits it fits again
         request, read = (with_data(f"{vector.unit:02X}", each) for each in (vector.pdu, READ[1:-2]))
-        found = heard(
+        results = heard(
             before + request + behind, before + read + behind, size=size, unit=vector.unit
         )
-        expected = [Frame(vector.unit, vector.pdu), Frame(vector.unit, READ[1:-2])]
-        assert requests(found, vector.unit) == expected, vector.id
+        frames = [Frame(vector.unit, vector.pdu), Frame(vector.unit, READ[1:-2])]
+        assert requests(results, vector.unit) == frames, vector.id
 
 
 NO_LENGTH = (8, 43)
@@ -185,15 +185,15 @@ def test_a_request_in_a_frame_of_others_between_noise_is_none(name, before, behi
 def test_a_request_in_a_damaged_answer_of_others_is_none(head: str) -> None:
     answer = with_data(head, WRITE)
     for place in (3, 5, len(answer) - 1):
-        damaged = bytearray(answer)
-        damaged[place] ^= 4
-        for bursts in ([damaged], [rtu("02 03 0000 0004"), damaged]):
+        frame = bytearray(answer)
+        frame[place] ^= 4
+        for bursts in ([frame], [rtu("02 03 0000 0004"), frame]):
             assert requests(heard(*map(bytes, bursts))) == [], place
 
 
 @each_case("size", [1, 999])
 @each_case(
-    ("burst", "expected"),
+    ("burst", "name"),
     [
         # Of libmodbus's unit tests: 0 registers, and six bytes more than are counted.
         (rtu("05 10 0160 0000 00 000000000000"), "request 5 10"),
@@ -206,8 +206,8 @@ def test_a_request_in_a_damaged_answer_of_others_is_none(head: str) -> None:
         (rtu("02 10 0160 0000 00 000000000000"), "answer 2 10"),
     ],
 )
-def test_a_burst_with_a_right_crc_is_one_frame_of_any_length(burst, expected, size) -> None:
-    assert named(heard(burst, OURS, size=size, unit=5)) == [expected, "request 5 03"]
+def test_a_burst_with_a_right_crc_is_one_frame_of_any_length(burst, name, size) -> None:
+    assert named(heard(burst, OURS, size=size, unit=5)) == [name, "request 5 03"]
     assert named(heard(burst + OUR_WRITE, OURS, size=size, unit=5))[-1] == "request 5 03"
 
 
@@ -215,17 +215,17 @@ def test_what_begins_a_longer_frame_of_others_is_none() -> None:
     """Its beginning has a right CRC, by chance."""
     begin = rtu("02 03 14 00 07")
     answer = with_data("", begin, WRITE, bytes(23 - len(begin) - len(WRITE)))
-    found = heard(rtu("02 03 0000 000A"), begin, answer[len(begin) :])
-    assert named(found) == ["request 2 03", "answer 2 03"]
+    results = heard(rtu("02 03 0000 000A"), begin, answer[len(begin) :])
+    assert named(results) == ["request 2 03", "answer 2 03"]
 
 
 @each_case("vector", rows(RESPONSES))
 def test_answers_of_others_are_no_damage(vector: FrameVector) -> None:
     assert vector.unit != 99
     framer = framer_of(99)
-    found = framer.scan(vector.rtu) + framer.scan_silence()
-    assert [each[:2] for each in found if isinstance(each, Frame)] == [vector.frame[:2]]
-    assert len(found) == 1
+    results = framer.scan(vector.rtu) + framer.scan_silence()
+    assert [each[:2] for each in results if isinstance(each, Frame)] == [vector.frame[:2]]
+    assert len(results) == 1
 
 
 def test_answers_of_others_are_given_by_scan_alone() -> None:
@@ -244,13 +244,13 @@ def test_a_request_that_is_repeated_to_a_silent_unit_is_not_taken_for_its_answer
 def test_after_another_request_an_answer_is_awaited_no_more() -> None:
     """A write and its answer are the same bytes: what was heard before tells which it is."""
     write = rtu("02 06 0001 0003")
-    asked, answered = Frame(2, write[1:-2]), Overheard(2, write[1:-2])
-    assert heard(write, write) == [asked, answered]
-    assert heard(write, write, write) == [asked, answered, asked]
-    assert heard(write, READ, write) == [asked, ASKED, asked]
-    assert heard(write, READ + write) == [asked, ASKED, asked]
+    request, answer = Frame(2, write[1:-2]), Overheard(2, write[1:-2])
+    assert heard(write, write) == [request, answer]
+    assert heard(write, write, write) == [request, answer, request]
+    assert heard(write, READ, write) == [request, ASKED, request]
+    assert heard(write, READ + write) == [request, ASKED, request]
     other = rtu("03 03 0000 0001")
-    assert heard(write, other, write) == [asked, Frame(3, other[1:-2]), asked]
+    assert heard(write, other, write) == [request, Frame(3, other[1:-2]), request]
 
 
 BROADCAST = rtu("00 06 0001 0003")
@@ -260,8 +260,8 @@ OTHERS, REFUSAL = rtu("02 06 0001 0003"), rtu("02 86 02")
 STRANGE = rtu("02 C1 01 02 03 04")
 
 
-def named(found: Found) -> list[str]:
-    return [_name(each) for each in found]
+def named(results: Found) -> list[str]:
+    return [_name(each) for each in results]
 
 
 def _name(each: Frame | FrameError) -> str:
@@ -273,7 +273,7 @@ def _name(each: Frame | FrameError) -> str:
 
 @each_case("size", [1, 3, 7, 999])
 @each_case(
-    ("bursts", "expected"),
+    ("bursts", "names"),
     [
         ([BROADCAST] * 3, ["request 0 06"] * 3),
         ([BROADCAST * 2 + OURS], ["request 0 06", "request 0 06", "request 5 03"]),
@@ -292,8 +292,8 @@ def _name(each: Frame | FrameError) -> str:
         ([b"\5\3\0", b"\2\3", OURS + OURS], ["damage", "request 5 03", "request 5 03"]),
     ],
 )
-def test_each_frame_is_what_it_is_in_any_pieces(bursts, expected, size) -> None:
-    assert named(heard(*bursts, size=size, unit=5)) == expected
+def test_each_frame_keeps_its_kind_in_any_pieces(bursts, names, size) -> None:
+    assert named(heard(*bursts, size=size, unit=5)) == names
 
 
 def test_our_request_is_found_with_its_last_byte() -> None:

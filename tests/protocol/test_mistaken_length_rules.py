@@ -49,11 +49,11 @@ def test_the_frames_behind_are_found(role: Any, rule: Callable[[bytes], Any]) ->
     good = READ if role == "server" else ANSWER
     with registered(rule):
         framer = RtuFramer(role)
-        found = framer.scan(OWN) + framer.scan_silence()
-        assert any(isinstance(each, FrameError) for each in found) == (role == "client")
+        results = framer.scan(OWN) + framer.scan_silence()
+        assert any(isinstance(each, FrameError) for each in results) == (role == "client")
         for _ in range(2):
-            found = framer.scan(good) + framer.scan_silence()
-            assert found == [Frame(1, good[1:-2])]
+            results = framer.scan(good) + framer.scan_silence()
+            assert results == [Frame(1, good[1:-2])]
 
 
 @each_case("rule", RULES.values(), ids=RULES)

@@ -32,7 +32,7 @@ from tests.support.cases import each_case
 
 
 @each_case(
-    ("value", "made"),
+    ("value", "result"),
     [
         (None, None),
         (True, True),
@@ -59,9 +59,9 @@ from tests.support.cases import each_case
         ),
     ],
 )
-def test_each_value_is_one_that_json_has(value: Any, made: Any) -> None:
-    assert plain(value) == made
-    assert json.loads(json.dumps(plain(value), allow_nan=False)) == made
+def test_each_value_is_one_that_json_has(value: Any, result: Any) -> None:
+    assert plain(value) == result
+    assert json.loads(json.dumps(plain(value), allow_nan=False)) == result
 
 
 def test_what_a_terminal_would_obey_is_shown_instead() -> None:
@@ -175,9 +175,9 @@ OTHERS = {
 
 def test_no_other_file_formats_times() -> None:
     forms = re.compile(r"strftime\(|\.isoformat\(|fromtimestamp\(")
-    found = {
+    files = {
         str(path.relative_to(PACKAGE))
         for path in PACKAGE.rglob("*.py")
         if forms.search(path.read_text())
     }
-    assert found == OTHERS
+    assert files == OTHERS

@@ -33,7 +33,7 @@ class TestReadings:
     @settings(max_examples=40)
     @given(st.lists(cell, min_size=1, max_size=6))
     def test_every_distinct_value_stands_once(self, registers: list[int]) -> None:
-        expected: dict[tuple[str, str], str] = {}
+        orders: dict[tuple[str, str], str] = {}
         for name in [*NUMBERS, "int48", "uint48", f"string:{2 * len(registers)}"]:
             for order in ("ABCD", "CDAB", "BADC", "DCBA", *WIDE_ORDERS):
                 try:
@@ -42,29 +42,29 @@ class TestReadings:
                     continue
                 if value == "" and any(registers):
                     continue
-                expected.setdefault((name, repr(value)), order)
-        found = readings(registers)
-        assert {(name, repr(value)): order for name, order, value in found} == expected
-        assert len(found) == len(expected)
+                orders.setdefault((name, repr(value)), order)
+        results = readings(registers)
+        assert {(name, repr(value)): order for name, order, value in results} == orders
+        assert len(results) == len(orders)
 
-    def test_known_registers(self) -> None:
-        found = readings(words("0000 42C8"))
-        assert ("float32", "CDAB", 100.0) in found
-        assert ("uint32", "ABCD", 0x42C8) in found
-        assert found[0] == ("int32", "ABCD", 0x42C8)
-        assert found[0].type == "int32"
-        assert found[0].order == "ABCD"
-        assert found[0].value == 0x42C8
-        assert not [reading for reading in found if reading.type == "bcd32"]
+    def test_two_registers_are_read_as_each_type_and_order(self) -> None:
+        results = readings(words("0000 42C8"))
+        assert ("float32", "CDAB", 100.0) in results
+        assert ("uint32", "ABCD", 0x42C8) in results
+        assert results[0] == ("int32", "ABCD", 0x42C8)
+        assert results[0].type == "int32"
+        assert results[0].order == "ABCD"
+        assert results[0].value == 0x42C8
+        assert not [reading for reading in results if reading.type == "bcd32"]
 
     @each_case("registers", ["FFFF FFFF", "7FC0 7FC0", "FFFF FFFF FFFF FFFF", "FFFF"])
     def test_nan_is_not_repeated(self, registers: str) -> None:
-        found = readings(words(registers))
-        assert [reading.order for reading in found if str(reading.value) == "nan"] == ["ABCD"]
+        results = readings(words(registers))
+        assert [reading.order for reading in results if str(reading.value) == "nan"] == ["ABCD"]
 
     def test_signs_of_zero_are_distinct(self) -> None:
-        kept = [str(value) for name, _, value in readings(words("8000 0000")) if name == "float32"]
-        assert "-0.0" in kept
+        texts = [str(value) for name, _, value in readings(words("8000 0000")) if name == "float32"]
+        assert "-0.0" in texts
 
     @each_case("count", [5, 6, 8, 124, 125])
     def test_other_counts_can_only_be_text(self, count: int) -> None:
@@ -87,10 +87,10 @@ class TestReadings:
 class TestParseReference:
     @each_case("vector", rows(REFERENCES))
     def test_reference_of_a_worked_example(self, vector: Reference) -> None:
-        parsed = parse_reference(vector.reference)
-        assert parsed == (TABLES[vector.table], vector.address)
-        assert parsed.table == TABLES[vector.table]
-        assert parsed.address == vector.address
+        reference = parse_reference(vector.reference)
+        assert reference == (TABLES[vector.table], vector.address)
+        assert reference.table == TABLES[vector.table]
+        assert reference.address == vector.address
 
     def test_worked_examples_cover_every_table(self) -> None:
         assert {vector.table for vector in REFERENCES} == set(TABLES)

@@ -105,8 +105,8 @@ class TestRtu:
         stream = garbage + good
         assume(not accidental(stream, len(garbage)))
         framer = RtuFramer(role)
-        found, _ = take(framer, stream)
-        assert found + quiet(framer) == [frame]
+        frames, _ = take(framer, stream)
+        assert frames + quiet(framer) == [frame]
         assert framer.pending == 0
         assert take(framer, good) == ([frame], [])
 
@@ -220,9 +220,9 @@ class TestRtu:
     def test_known_function_without_length_does_not_swallow_the_next(self, head: bytes) -> None:
         """Its CRC is lost; what follows after a silence is found all the same."""
         framer = RtuFramer("server")
-        spoilt = bytearray(rtu(17, head + b"\xa5\x37"))
-        spoilt[-1] ^= 1
-        frames = take(framer, bytes(spoilt))[0] + quiet(framer)
+        frame = bytearray(rtu(17, head + b"\xa5\x37"))
+        frame[-1] ^= 1
+        frames = take(framer, bytes(frame))[0] + quiet(framer)
         for _ in range(2):
             frames += take(framer, rtu(*READ[:2]))[0] + quiet(framer)
         assert frames == [READ] * 2
@@ -246,15 +246,15 @@ class TestRtu:
         assert fed_in_bytes(framer, whole) == [Frame(17, early)]
         assert take(framer, whole * 2) == ([Frame(17, early)] * 2, [])
         # And it is found behind garbage, which a code without a rule is not.
-        found = [*framer.scan(b"\xff\xff\xff" + whole), *framer.scan_silence()]
-        assert [each for each in found if isinstance(each, Frame)] == [Frame(17, early)]
-        assert any(isinstance(each, FrameError) for each in found)
+        results = [*framer.scan(b"\xff\xff\xff" + whole), *framer.scan_silence()]
+        assert [each for each in results if isinstance(each, Frame)] == [Frame(17, early)]
+        assert any(isinstance(each, FrameError) for each in results)
 
     def test_rule_in_python_is_asked(self) -> None:
-        asked: list[bytes] = []
+        heads: list[bytes] = []
 
         def rule(head: bytes) -> int | None:
-            asked.append(head)
+            heads.append(head)
             return 4 + head[1] if len(head) > 1 else None
 
         with registered(rule):
@@ -266,7 +266,7 @@ class TestRtu:
             frames += take(framer, good + rtu(*READ[:2]))[0]
             assert frames == [frame, frame, READ]
             take(framer, b"\1\x6d\xff" + bytes(60))
-            assert all(1 <= len(head) <= pdu.MAX_PDU for head in asked)
+            assert all(1 <= len(head) <= pdu.MAX_PDU for head in heads)
 
     @each_case(
         "rule",

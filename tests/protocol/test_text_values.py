@@ -36,7 +36,7 @@ class TestText:
             ("A" * 250, "string:250", {}, " ".join(["4141"] * 125)),
         ],
     )
-    def test_encodings_and_padding(self, value, name, options, registers) -> None:
+    def test_texts_keep_their_encoding_and_padding(self, value, name, options, registers) -> None:
         assert encode(value, name, **options) == words(registers)
         assert decode(words(registers), name, **options) == value
 
@@ -77,7 +77,7 @@ class TestText:
             encode(value, "string:8")
 
     def test_text_that_does_not_fit_is_never_cut(self, refused: Refused) -> None:
-        refused("too_long_texts.txt", lambda given: encode(given[0], given[1], **given[2]))
+        refused("too_long_texts.txt", lambda case: encode(case[0], case[1], **case[2]))
 
     @each_case("value", [None, 1, b"AB", ["A"], True])
     def test_text_is_a_string(self, value: Any) -> None:
@@ -85,7 +85,7 @@ class TestText:
             encode(value, "string:4")
 
     @each_case(
-        ("registers", "name", "encoding", "named"),
+        ("registers", "name", "encoding", "message"),
         [
             ("80FF", "string:2", "ascii", r"registers\[0:1\] hold no string:2: 80 FF is no ascii"),
             ("41E2 8200", "string:3", "utf-8", "hold no string:3: 41 E2 82 is no utf-8"),
@@ -93,8 +93,8 @@ class TestText:
             ("00D8 4100", "string:4", "utf-16-le", "00 D8 41 00 is no utf-16-le"),
         ],
     )
-    def test_character_cut_in_the_middle_is_an_error(self, registers, name, encoding, named):
-        with pytest.raises(ValueError, match=named):
+    def test_character_cut_in_the_middle_is_an_error(self, registers, name, encoding, message):
+        with pytest.raises(ValueError, match=message):
             decode(words(registers), name, encoding=encoding)
 
     def test_every_encoding_of_the_list_is_one_of_python(self) -> None:

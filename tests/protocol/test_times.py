@@ -35,7 +35,7 @@ TIMES = [
 
 
 @each_case(("name", "cells", "time"), TIMES)
-def test_registers_hold_times(name: str, cells: list[int], time: datetime) -> None:
+def test_times_are_encoded_and_decoded_in_utc(name: str, cells: list[int], time: datetime) -> None:
     kind = value_type(name)
     assert kind.decode(cells) == time
     assert kind.decode(cells).utcoffset() == timedelta(0)
@@ -99,9 +99,9 @@ STEPS = {"ms64": 1000, "iec870": 1000}
 )
 def test_times_come_back(name: str, time: datetime, order: str) -> None:
     step = STEPS.get(name, 1_000_000)
-    kept = time.replace(microsecond=time.microsecond // step * step)
+    time_ = time.replace(microsecond=time.microsecond // step * step)
     kind = value_type(name, order=order)
-    assert kind.decode(kind.encode(time)) == kept
+    assert kind.decode(kind.encode(time)) == time_
 
 
 BERLIN = checked_time_zone("time_zone", "Europe/Berlin")

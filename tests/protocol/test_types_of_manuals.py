@@ -73,7 +73,7 @@ MANUALS: list[tuple[str, str, str, Any]] = [
 
 
 @each_case(("name", "order", "registers", "value"), MANUALS)
-def test_registers_of_manuals(name: str, order: str, registers: str, value: Any) -> None:
+def test_examples_of_manuals_come_back(name: str, order: str, registers: str, value: Any) -> None:
     kind = value_type(name, order=order)
     assert kind.decode(words(registers)) == value
     assert kind.encode(value) == words(registers)
@@ -94,12 +94,12 @@ OTHERS = [
 
 
 @each_case(("name", "order", "registers", "value"), OTHERS)
-def test_other_registers_of_the_same_value(name, order, registers, value) -> None:
+def test_several_encodings_decode_to_the_same_value(name, order, registers, value) -> None:
     assert value_type(name, order=order).decode(words(registers)) == value
 
 
 def test_registers_that_hold_no_value(refused: Refused) -> None:
-    refused("no_values.txt", lambda given: value_type(given[0]).decode(words(given[1])))
+    refused("no_values.txt", lambda case: value_type(case[0]).decode(words(case[1])))
 
 
 LIMITS = [
@@ -115,7 +115,7 @@ LIMITS = [
 
 
 @each_case(("name", "low", "high"), LIMITS)
-def test_limits(name: str, low: int, high: int) -> None:
+def test_integers_beyond_limits_of_their_type_are_refused(name: str, low: int, high: int) -> None:
     kind = value_type(name)
     assert kind.limits == (low, high)
     for beyond in (low - 1, high + 1):

@@ -111,7 +111,7 @@ class TestKnownEncodings:
             ("string:2", "", "0000"),
         ],
     )
-    def test_both_ways(self, name: str, value: Any, registers: str) -> None:
+    def test_known_values_have_their_registers(self, name: str, value: Any, registers: str) -> None:
         assert encode(value, name) == words(registers)
         assert same(decode(words(registers), name), value)
 
@@ -187,7 +187,7 @@ class TestOrders:
             ("BA", "string:8", "BADC"),
         ],
     )
-    def test_spellings(self, spelling: str, name: str, order: str) -> None:
+    def test_spellings_of_orders_mean_the_same(self, spelling: str, name: str, order: str) -> None:
         registers = [0x4142, 0x4344, 0x4546, 0x4748][: value_type(name).registers]
         assert decode(registers, name, order=spelling) == decode(registers, name, order=order)
         value = decode(registers, name)
@@ -209,7 +209,7 @@ class TestOrders:
             value_type(name, order=order)
 
     @each_case("order", ["", "ABC", "ABDC", "ABCDEFG", "big", "A B C D"])
-    def test_no_such_order(self, order: str) -> None:
+    def test_an_unknown_order_is_refused(self, order: str) -> None:
         with pytest.raises(ValueError, match="order must be one of ABCD, CDAB, BADC, DCBA") as e:
             decode([1, 2], "uint32", order=order)
         assert repr(order) in str(e.value)
@@ -222,19 +222,19 @@ class TestOrders:
 
 class TestValueType:
     @each_case(("size", "registers"), [(1, 1), (2, 1), (3, 2), (249, 125), (250, 125)])
-    def test_registers_of_strings(self, size: int, registers: int) -> None:
+    def test_a_string_has_a_register_for_two_characters(self, size: int, registers: int) -> None:
         kind = value_type(f"string:{size}")
         assert (kind.name, kind.registers) == (f"string:{size}", registers)
         assert kind.is_text
 
     @each_case("name", ["", "int12", "long", "bool", "string", "string:", "string:-1", "string:8x"])
-    def test_no_such_type(self, name: str) -> None:
+    def test_an_unknown_type_is_refused(self, name: str) -> None:
         with pytest.raises(ValueError, match=r"type must be one of .*eui48, string:N") as e:
             value_type(name)
         assert repr(name) in str(e.value)
 
     @each_case("size", [0, 251, 999, 65536, 999_999_999])
-    def test_no_such_string(self, size: int) -> None:
+    def test_a_string_of_a_wrong_size_is_refused(self, size: int) -> None:
         with pytest.raises(ValueError, match=rf"N must be in 1\.\.250, not {size}"):
             value_type(f"string:{size}")
 
@@ -263,12 +263,12 @@ class TestMany:
         assert encode_many((at for at in (1, 2)), "bcd16") == [1, 2]
         assert encode_many(["A", "BC"], "string:2", padding=" ") == words("4120 4243")
 
-    def test_none_are_none(self) -> None:
+    def test_no_values_have_no_registers(self) -> None:
         assert encode_many([], "float64") == []
         assert decode_many([], "float64") == []
 
     def test_bad_value_is_named(self, refused: Refused) -> None:
-        refused("wrong_values.txt", lambda given: encode_many(*given))
+        refused("wrong_values.txt", lambda case: encode_many(*case))
 
     @pytest.mark.parametrize(("name", "takes"), [("int32", 2), ("float64", 4), ("string:5", 3)])
     def test_registers_end_with_a_value(self, name: str, takes: int) -> None:

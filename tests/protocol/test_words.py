@@ -25,7 +25,7 @@ from tests.support.cases import each_case
         *((word, "discrete_inputs") for word in ("di", "1x", "discrete", "input status")),
     ],
 )
-def test_tables(word: Any, table: str) -> None:
+def test_words_for_tables_are_understood(word: Any, table: str) -> None:
     assert Read(word, 7).table == table
     assert Point("p", word, 7).table == table
     assert Plan([(word, 7)]).requests == Plan([(table, 7)]).requests
@@ -40,7 +40,7 @@ def test_tables(word: Any, table: str) -> None:
         *((word, "string:8") for word in ("STRING(8)", "char 8", "ascii:8", "string:8")),
     ],
 )
-def test_types(word: Any, name: str) -> None:
+def test_words_for_types_are_understood(word: Any, name: str) -> None:
     assert value_type(word).name == name
     assert Read("holding_registers", 0, 1, word).type == name
     assert Point("p", "holding_registers", 0, type=word).type == name
@@ -54,7 +54,7 @@ def test_types(word: Any, name: str) -> None:
         ("byte swapped", "BADC"),
     ],
 )
-def test_orders(word: Any, order: str) -> None:
+def test_words_for_orders_are_understood(word: Any, order: str) -> None:
     assert value_type("float32", order=word).order == order
     assert Point("p", "holding_registers", 0, type="float32", order=word).order == order
 
@@ -78,7 +78,7 @@ def test_words_that_nobody_uses(make: Any, message: str) -> None:
         make()
 
 
-def test_clients_take_them() -> None:
+def test_clients_take_words_for_tables_types_and_orders() -> None:
     mapping = Mapping(holding_registers=8, input_registers=8)
     with Server(Device(mapping)).background("tcp://127.0.0.1:0") as running:
         client: Any = Client(running.urls[0])

@@ -24,15 +24,15 @@ BEGIN = datetime(2024, 2, 29, 12, 30, 1, tzinfo=UTC)
 
 
 def test_a_certificate_is_described() -> None:
-    made = make("plc 7", certificates.authority(), begin=BEGIN, days=366)
-    assert describe(made.der) == (
+    certificate = make("plc 7", certificates.authority(), begin=BEGIN, days=366)
+    assert describe(certificate.der) == (
         "'CN=plc 7', issued by 'CN=Test authority', "
         "valid 2024-02-29 12:30:01 to 2025-03-01 12:30:01 UTC, "
-        f"SHA-256 {hashlib.sha256(made.der).hexdigest()}"
+        f"SHA-256 {hashlib.sha256(certificate.der).hexdigest()}"
     )
 
 
-def test_a_self_signed_one_says_so() -> None:
+def test_a_self_signed_certificate_is_named() -> None:
     assert "'CN=Test device', self-signed, valid " in describe(certificates.self_signed().der)
 
 
@@ -40,8 +40,8 @@ def test_a_self_signed_one_says_so() -> None:
 def test_the_fingerprint_is_that_of_openssl(tmp_path: Path) -> None:
     files = certificates.save(tmp_path, certificates.client(), "client")
     command = ["openssl", "x509", "-in", files.cert, "-noout", "-fingerprint", "-sha256"]
-    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    fingerprint = printed.strip().rpartition("=")[2].replace(":", "").lower()
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    fingerprint = output.strip().rpartition("=")[2].replace(":", "").lower()
     assert describe(certificates.client().der).endswith(f"SHA-256 {fingerprint}")
 
 
@@ -69,7 +69,7 @@ def named(*values: str) -> bytes:
     ],
     ids=["terminal", "line", "right to left", "nul", "quotes", "long", "nameless"],
 )
-def test_names_harm_nobody(values: tuple[str, ...]) -> None:
+def test_names_of_certificates_are_printable_and_short(values: tuple[str, ...]) -> None:
     text = describe(named(*values))
     assert text.isprintable()
     assert len(text) <= 500
@@ -78,7 +78,7 @@ def test_names_harm_nobody(values: tuple[str, ...]) -> None:
 
 @settings(max_examples=200)
 @given(st.binary(max_size=200), st.integers(0, 400), st.integers(0, 5))
-def test_any_bytes(noise: bytes, at: int, cut: int) -> None:
+def test_any_bytes_are_described_in_printable_text(noise: bytes, at: int, cut: int) -> None:
     good = certificates.client().der
     for data in (
         noise,
@@ -91,14 +91,14 @@ def test_any_bytes(noise: bytes, at: int, cut: int) -> None:
         assert hashlib.sha256(data).hexdigest() in text
 
 
-def test_without_cryptography_it_is_the_fingerprint() -> None:
+def test_without_cryptography_the_fingerprint_is_shown() -> None:
     program = (
         "import sys; sys.modules['cryptography'] = None\n"
         "from libmodbus_py.security.certificates import describe; print(describe(b'abc'))"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     digest = hashlib.sha256(b"abc").hexdigest()
-    assert done.stdout == f"SHA-256 {digest} (more with: {how_to_add('security')})\n"
+    assert process.stdout == f"SHA-256 {digest} (more with: {how_to_add('security')})\n"
 
 
 def test_keys_are_p_256() -> None:
@@ -114,17 +114,17 @@ def test_a_chain_goes_along() -> None:
 
 
 def test_files_are_their_owners_alone_and_never_overwritten(tmp_path: Path) -> None:
-    made = {"ca": certificates.authority(), "client": certificates.client()}
-    paths = write(tmp_path / "new", made)
+    identities = {"ca": certificates.authority(), "client": certificates.client()}
+    paths = write(tmp_path / "new", identities)
     assert [path.name for path in paths["client"]] == ["client.pem", "client-key.pem"]
     assert {path.stat().st_mode & 0o777 for _, path in paths.values()} == {0o600}
     before = paths["client"][1].read_bytes()
     with pytest.raises(FileExistsError, match=r"ca\.pem"):
-        write(tmp_path / "new", made)
+        write(tmp_path / "new", identities)
     assert paths["client"][1].read_bytes() == before
 
 
-def test_all_files_or_none(tmp_path: Path) -> None:
+def test_if_one_file_exists_none_is_written(tmp_path: Path) -> None:
     (tmp_path / "client-key.pem").write_text("mine")
     with pytest.raises(FileExistsError, match=r"client-key\.pem"):
         write(tmp_path, {"ca": certificates.authority(), "client": certificates.client()})

@@ -53,8 +53,8 @@ def test_a_value_is_the_former_until_the_file_is_good_again(tmp_path, caplog) ->
     reload_all()
     assert renewed.value == 2
     path.write_text("two")
-    told = [line for line in reload_all() if "'two'" in line]
-    assert told == ["the former content is used: invalid literal for int() with base 10: 'two'"]
+    messages = [line for line in reload_all() if "'two'" in line]
+    assert messages == ["the former content is used: invalid literal for int() with base 10: 'two'"]
     assert [renewed.fresh(), renewed.fresh()] == [2, 2]
     path.unlink()
     assert renewed.fresh() == 2
@@ -68,12 +68,12 @@ def test_a_value_is_the_former_until_the_file_is_good_again(tmp_path, caplog) ->
 def test_what_is_not_used_any_more_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "password"
     write_secret(path, "secret")
-    kept, gone = SecretFile(path), SecretFile(path)
-    assert kept == gone
-    del gone
+    first, second = SecretFile(path), SecretFile(path)
+    assert first == second
+    del second
     path.unlink()
     assert len(mistakes(path)) == 1
-    del kept
+    del first
     assert mistakes(path) == []
 
 
@@ -129,16 +129,16 @@ def test_credentials_of_nats_are_read_again(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(connection, "find_spec", lambda name: name)
     path = tmp_path / "user.creds"
     write_secret(path, CREDENTIALS.format("first"))
-    given = _identity({"NATS_CREDS": str(path)})["user_credentials"]
+    credentials = _identity({"NATS_CREDS": str(path)})["user_credentials"]
     client = SteadyClient()
-    assert client._read_creds_user_jwt(given) == b"first"
+    assert client._read_creds_user_jwt(credentials) == b"first"
     path.write_text(CREDENTIALS.format("second"))
-    assert client._read_creds_user_jwt(given) == b"second"
+    assert client._read_creds_user_jwt(credentials) == b"second"
     path.write_text("")
-    assert client._read_creds_user_jwt(given) == b"second"
-    assert client._read_creds_user_nkey(given) == b"SUAOY"
-    (told,) = mistakes(path)
-    assert told.endswith("user.creds: contains no 'BEGIN NATS USER JWT'")
+    assert client._read_creds_user_jwt(credentials) == b"second"
+    assert client._read_creds_user_nkey(credentials) == b"SUAOY"
+    (message,) = mistakes(path)
+    assert message.endswith("user.creds: contains no 'BEGIN NATS USER JWT'")
 
 
 @pytest.mark.parametrize("name", ["NATS_CREDS", "NATS_NKEY"])

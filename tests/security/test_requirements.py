@@ -32,10 +32,10 @@ def rows() -> list[str]:
 
 
 def test_each_number_has_one_row() -> None:
-    named = Counter(
+    counts = Counter(
         number for row in rows() for number in re.findall(r"R-(\d+)", row.split(" | ")[0])
     )
-    assert named == Counter(f"{number:02}" for number in range(1, LAST + 1))
+    assert counts == Counter(f"{number:02}" for number in range(1, LAST + 1))
 
 
 def test_each_row_says_whether_and_how() -> None:
@@ -62,9 +62,9 @@ class Hello:
 
     def _take(self, digits: int) -> bytes:
         size = int.from_bytes(self._rest[:digits])
-        taken, self._rest = self._rest[digits : digits + size], self._rest[digits + size :]
-        assert len(taken) == size
-        return taken
+        part, self._rest = self._rest[digits : digits + size], self._rest[digits + size :]
+        assert len(part) == size
+        return part
 
 
 @pytest.fixture
@@ -86,11 +86,11 @@ def test_no_suite_is_without_encryption_or_with_an_old_hash(hello: Hello) -> Non
     """R-36, R-37, R-48, R-50 to R-55."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.set_ciphers("ALL:eNULL:@SECLEVEL=0")
-    known = {each["id"] & 0xFFFF: each for each in context.get_ciphers()}
+    ciphers = {each["id"] & 0xFFFF: each for each in context.get_ciphers()}
     for suite in hello.suites - {b"\x00\xff"}:  # the indication of renegotiation (R-60)
-        found = known[int.from_bytes(suite)]
-        assert found["aead"], found
-        assert found["strength_bits"] >= 128, found
+        properties = ciphers[int.from_bytes(suite)]
+        assert properties["aead"], properties
+        assert properties["strength_bits"] >= 128, properties
     assert b"\x00\xff" in hello.suites or 0xFF01 in hello.extensions
 
 
@@ -100,18 +100,18 @@ HANDSHAKE, SERVER_HELLO, KEY_SHARE = 22, 2, 51
 X25519, X25519MLKEM768 = 29, 4588
 
 
-def named_group(sent: bytes) -> int:
+def named_group(flight: bytes) -> int:
     """Return the group that a server chose, from its first record (RFC 8446, 4.1.3 and 4.2.8)."""
-    assert (sent[0], sent[5]) == (HANDSHAKE, SERVER_HELLO)
+    assert (flight[0], flight[5]) == (HANDSHAKE, SERVER_HELLO)
     at = 5 + 4 + 2 + 32  # record, handshake, version, random
-    at += 1 + sent[at]  # session
+    at += 1 + flight[at]  # session
     at += 2 + 1  # cipher suite, compression
-    end = at + 2 + int.from_bytes(sent[at : at + 2])
+    end = at + 2 + int.from_bytes(flight[at : at + 2])
     at += 2
     while at < end:
-        kind, size = (int.from_bytes(sent[at + skip : at + skip + 2]) for skip in (0, 2))
+        kind, size = (int.from_bytes(flight[at + skip : at + skip + 2]) for skip in (0, 2))
         if kind == KEY_SHARE:
-            return int.from_bytes(sent[at + 4 : at + 6])
+            return int.from_bytes(flight[at + 4 : at + 6])
         at += 4 + size
     raise AssertionError("a ServerHello without a key share")
 
@@ -126,9 +126,9 @@ def test_both_ends_agree_on_the_best_group_of_their_openssl(kind: str, pki: Pki)
         url = f"tls://127.0.0.1:{wire.port}"
         with asking(kind, url, security=pki.client()) as client:
             assert client.read_holding_registers(0, 1) == [7]
-        sent = wire.sent_by("server")
+        flight = wire.sent_by("server")
     has_hybrid = ssl.OPENSSL_VERSION_INFO >= (3, 5)
-    assert named_group(sent) == (X25519MLKEM768 if has_hybrid else X25519)
+    assert named_group(flight) == (X25519MLKEM768 if has_hybrid else X25519)
 
 
 def record(size: int, kind: int = 23) -> bytes:
@@ -146,7 +146,7 @@ def is_midway(stream: bytes) -> bool:
 
 
 @pytest.mark.parametrize("size", [0, 1, 255, 256, 0x4100])
-def test_one_whole_record_is_told(size: int) -> None:
+def test_a_whole_record_is_recognized(size: int) -> None:
     records = Records()
     assert records.follow(record(size))
     assert not records.is_midway
@@ -172,7 +172,7 @@ def test_what_looks_like_a_record_within_another_one_is_none() -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_it_is_known_after_each_piece(seed: int) -> None:
+def test_each_piece_says_whether_a_record_is_open(seed: int) -> None:
     chance = random.Random(seed)
     sizes = [chance.choice([0, 1, 2, 5, 9, 260, 700]) for _ in range(60)]
     stream = b"".join(map(record, sizes))

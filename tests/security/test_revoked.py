@@ -36,10 +36,10 @@ def crl(path: Path, content: bytes) -> PemFile:
 
 def test_a_list_tells_which_certificates_are_revoked(tmp_path: Path) -> None:
     one, other = certificates.client(), certificates.server()
-    found = Revoked(crl(tmp_path / "crl", certificates.revocation_list(one)))
-    assert found.any_of([one.der])
-    assert found.any_of([other.der, one.der])
-    assert not found.any_of([other.der])
+    revoked = Revoked(crl(tmp_path / "crl", certificates.revocation_list(one)))
+    assert revoked.any_of([one.der])
+    assert revoked.any_of([other.der, one.der])
+    assert not revoked.any_of([other.der])
 
 
 def test_a_number_is_revoked_for_its_own_authority_only(tmp_path: Path) -> None:
@@ -55,15 +55,15 @@ def test_a_file_may_have_several_lists_and_ends_with_the_first_of_them(tmp_path:
     both = certificates.revocation_list(one, days=20) + certificates.revocation_list(
         two, issuer=lower, days=10
     )
-    found = Revoked(crl(tmp_path / "crl", both))
-    assert found.any_of([one.der])
-    assert found.any_of([two.der])
+    revoked = Revoked(crl(tmp_path / "crl", both))
+    assert revoked.any_of([one.der])
+    assert revoked.any_of([two.der])
     sooner = Revoked(
         crl(tmp_path / "one", certificates.revocation_list(two, issuer=lower, days=10))
     )
-    assert found.ends is not None
+    assert revoked.ends is not None
     assert sooner.ends is not None
-    assert abs(found.ends - sooner.ends) <= 5
+    assert abs(revoked.ends - sooner.ends) <= 5
 
 
 def test_a_file_without_a_list_is_named(tmp_path: Path, pki: Pki, files: Files) -> None:
@@ -145,12 +145,12 @@ def at(monkeypatch: pytest.MonkeyPatch, when: float) -> None:
     monkeypatch.setattr(security_module, "time", SimpleNamespace(time=lambda: when))
 
 
-def test_an_end_that_is_near_is_told_once_a_day(pki: Pki, monkeypatch, caplog) -> None:
+def test_an_end_that_is_near_is_logged_once_a_day(pki: Pki, monkeypatch, caplog) -> None:
     files = pki.files(certificates.server(days=100))
     security = Security(files.cert, files.key, trust=pki.ca)
     end = certificates.end(certificates.server(days=100).certificate).timestamp()
     assert security.ends == end
-    for days, said in (
+    for days, text in (
         (60, None),
         (31, None),
         (29, "expires in 29 days"),
@@ -164,20 +164,20 @@ def test_an_end_that_is_near_is_told_once_a_day(pki: Pki, monkeypatch, caplog) -
         with caplog.at_level(logging.WARNING):
             security.warn_of_end()
             security.warn_of_end()
-        expected = [] if said is None else [f"certificate {os.fspath(files.cert)!r} {said}"]
-        assert caplog.messages == expected, days
+        messages = [] if text is None else [f"certificate {os.fspath(files.cert)!r} {text}"]
+        assert caplog.messages == messages, days
 
 
-def test_the_end_of_a_revocation_list_is_told_too(tmp_path, pki: Pki, caplog) -> None:
+def test_the_end_of_a_revocation_list_is_logged(tmp_path, pki: Pki, caplog) -> None:
     """When it has ended, OpenSSL refuses everybody."""
     listed = tmp_path / "crl"
     security = pki.server(crl=written(listed, days=3))
-    for days, said in ((3, None), (1, "expires within two days"), (-1, "has expired")):
+    for days, text in ((3, None), (1, "expires within two days"), (-1, "has expired")):
         written(listed, days=days)
         security.reload()
         caplog.clear()
         security.warn_of_end()
-        assert caplog.messages == ([] if said is None else [f"crl {str(listed)!r} {said}"])
+        assert caplog.messages == ([] if text is None else [f"crl {str(listed)!r} {text}"])
 
 
 def written(file: Path, *, days: float) -> Path:

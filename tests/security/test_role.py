@@ -114,13 +114,13 @@ def test_a_version_that_does_not_exist_is_refused() -> None:
 
 @settings(max_examples=200)
 @given(st.binary(max_size=300) | st.builds(lambda rest: b"\x0c" + rest, st.binary(max_size=300)))
-def test_any_value(value: bytes) -> None:
+def test_any_bytes_are_a_role_or_a_role_error(value: bytes) -> None:
     check_role_value(value)
 
 
 @settings(max_examples=200)
 @given(st.text(max_size=300))
-def test_any_text(role: str) -> None:
+def test_an_encoded_role_is_decoded_or_refused(role: str) -> None:
     try:
         value = encode_role(role)
     except RoleError:
@@ -143,18 +143,18 @@ def damaged(draw: st.DrawFn) -> bytes:
 
 @settings(max_examples=500)
 @given(damaged() | st.binary(max_size=200))
-def test_any_certificate(data: bytes) -> None:
+def test_any_damaged_certificate_is_a_role_error(data: bytes) -> None:
     check_certificate(data)
 
 
-def test_without_cryptography_it_says_what_to_install() -> None:
+def test_without_cryptography_the_error_says_what_to_install() -> None:
     program = (
         "import sys; sys.modules['cryptography'] = None\n"
         "from libmodbus_py.security.certificates import role_of; role_of(b'')"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.returncode == 1
-    last = done.stderr.splitlines()[-1]
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert process.returncode == 1
+    last = process.stderr.splitlines()[-1]
     assert last.startswith("ImportError: ")
     assert how_to_add("security") in last
 
@@ -162,5 +162,5 @@ def test_without_cryptography_it_says_what_to_install() -> None:
 def test_cryptography_is_imported_late() -> None:
     program = "import libmodbus_py.cli.main, libmodbus_py.security.certificates, sys\n"
     program += "import libmodbus_py.cli.certificates; print('cryptography' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.stdout == "False\n"
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert process.stdout == "False\n"

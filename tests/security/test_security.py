@@ -155,8 +155,8 @@ def test_a_file_that_one_may_not_read_is_named(pki: Pki) -> None:
         identity = certificates.save(directory, certificates.client(), "client")
         identity.key.chmod(0)
         program = [sys.executable, "-c", READS, identity.cert, identity.key, pki.ca]
-        done = subprocess.run(program, capture_output=True, text=True, timeout=30, check=False)
-        assert done.stdout == f"key {str(identity.key)!r}: Permission denied\n", done.stderr
+        process = subprocess.run(program, capture_output=True, text=True, timeout=30, check=False)
+        assert process.stdout == f"key {str(identity.key)!r}: Permission denied\n", process.stderr
 
 
 @pytest.mark.parametrize("form", ["PKCS #8", "traditional"])
@@ -184,9 +184,9 @@ def test_an_encrypted_key_needs_its_password(tmp_path: Path, pki: Pki, form: str
     for wrong in (b"secret", 5):
         with pytest.raises(TypeError, match="password must be a string, not "):
             Security(cert, key, trust=pki.ca, password=wrong)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="the password is another") as raised:
+    with pytest.raises(ValueError, match="the password is another") as caught:
         Security(cert, key, trust=pki.ca, password="S3cret")
-    assert "S3cret" not in str(raised.value)
+    assert "S3cret" not in str(caught.value)
 
 
 def test_a_password_is_never_asked_for_at_the_terminal(pki: Pki) -> None:
@@ -204,16 +204,16 @@ def test_a_password_is_never_asked_for_at_the_terminal(pki: Pki) -> None:
         command, stdin=terminal, stdout=terminal, stderr=terminal, start_new_session=True
     ):
         os.close(terminal)
-        said = b""
+        output = b""
         try:
             while piece := os.read(screen, 4096):
-                said += piece
+                output += piece
         except OSError:  # so a terminal ends
             pass
         finally:
             os.close(screen)
-    assert b"is encrypted, and needs its password" in said
-    assert b"pass phrase" not in said
+    assert b"is encrypted, and needs its password" in output
+    assert b"pass phrase" not in output
 
 
 def test_trust_or_pin_but_not_both(pki: Pki, files: Files) -> None:
@@ -225,17 +225,17 @@ def test_trust_or_pin_but_not_both(pki: Pki, files: Files) -> None:
 def test_pins_are_files_or_hashes(pki: Pki, files: Files) -> None:
     own = certificates.client().der
     for pin in (files.cert, str(files.cert), [files.cert], iter([files.cert])):
-        made = Security(files.cert, files.key, pin=pin)
-        assert made.accepts(own)
-        assert not made.accepts(certificates.authority().der)
+        security = Security(files.cert, files.key, pin=pin)
+        assert security.accepts(own)
+        assert not security.accepts(certificates.authority().der)
     colons = ":".join(f"{byte:02X}" for byte in bytes.fromhex(digest(own)))
     for pin in (digest(own), digest(own).upper(), colons, [DIGEST, colons]):
         assert Security(files.cert, files.key, pin=pin).accepts(own)
     bundle = pki.ca.parent / "bundle.pem"
     bundle.write_bytes(files.cert.read_bytes() + pki.ca.read_bytes())
-    made = Security(files.cert, files.key, pin=bundle)
-    assert made.accepts(own)
-    assert not made.accepts(certificates.authority().der)  # it is the chain of the first
+    security = Security(files.cert, files.key, pin=bundle)
+    assert security.accepts(own)
+    assert not security.accepts(certificates.authority().der)  # it is the chain of the first
 
 
 def digest(certificate: bytes) -> str:
@@ -268,8 +268,8 @@ def test_a_server_needs_the_certificates_that_it_pins(files: Files) -> None:
     server = Server(Device(Mapping(1)), security=security)
     with pytest.raises(ValueError, match=reason), server.background("tls://127.0.0.1:0"):
         pass
-    known = Security(files.cert, files.key, pin=[digest(certificates.client().der), files.cert])
-    with Server(Device(Mapping(1)), security=known).background("tls://127.0.0.1:0"):
+    pinned = Security(files.cert, files.key, pin=[digest(certificates.client().der), files.cert])
+    with Server(Device(Mapping(1)), security=pinned).background("tls://127.0.0.1:0"):
         pass
 
 
@@ -306,5 +306,5 @@ def test_files_are_read_once(pki: Pki) -> None:
 
 def test_its_repr_has_no_secret(pki: Pki) -> None:
     files = pki.files(certificates.client(), b"secret")
-    made = repr(Security(files.cert, files.key, trust=pki.ca, password="secret"))
-    assert made == f"Security({str(files.cert)!r}, trust={str(pki.ca)!r})"
+    text = repr(Security(files.cert, files.key, trust=pki.ca, password="secret"))
+    assert text == f"Security({str(files.cert)!r}, trust={str(pki.ca)!r})"

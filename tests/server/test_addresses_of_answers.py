@@ -56,20 +56,20 @@ def test_every_address_answers_late_and_for_a_gateway(scheme: str, device: Devic
 
 def addresses_of_ipv6() -> list[str]:
     """Return those of this machine, as far as they show: ::1, and what it would send from."""
-    found = ["[::1]"]
+    hosts = ["[::1]"]
     for place in ELSEWHERE:
-        made = socket.socket(socket.AF_INET6, socket.SOCK_DGRAM)
-        with made, contextlib.suppress(OSError):
-            made.connect((place, 9))
-            own = made.getsockname()[0]
+        sock = socket.socket(socket.AF_INET6, socket.SOCK_DGRAM)
+        with sock, contextlib.suppress(OSError):
+            sock.connect((place, 9))
+            own = sock.getsockname()[0]
             if "%" not in own:
-                found.append(f"[{own}]")
-    return list(dict.fromkeys(found))
+                hosts.append(f"[{own}]")
+    return list(dict.fromkeys(hosts))
 
 
 @NEEDS_IPV6
 @SCHEMES
-def test_ipv6(scheme: str, device: Device) -> None:
+def test_every_address_of_ipv6_answers(scheme: str, device: Device) -> None:
     with served(Server({UNIT: device}), scheme, "[::]") as port:
         for host in addresses_of_ipv6():
             assert values_of(scheme, host, port) == [1000, 1001]

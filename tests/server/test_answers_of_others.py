@@ -75,10 +75,10 @@ def saying(stage: Stage, url: str) -> Iterator[Callable[..., bytes]]:
                 client.sendall(piece)
                 stage.pass_time(0.001)
             stage.pass_time(2)
-            heard = b""
+            answer = b""
             while client.has_input():
-                heard += client.recv(300)
-            return heard
+                answer += client.recv(300)
+            return answer
 
         yield send
 
@@ -91,7 +91,7 @@ def damaged(frame: bytes) -> bytes:
 
 
 @pytest.mark.parametrize(
-    "scheme", [each for each, (made, rules) in LINES.items() if made is rtu and not rules.is_serial]
+    "scheme", [each for each, (code, rules) in LINES.items() if code is rtu and not rules.is_serial]
 )
 def test_answers_of_others_in_one_connection_count_no_error(stage: Stage, scheme: str) -> None:
     """As a serial device server passes them on that hears its own line."""
@@ -135,34 +135,34 @@ def test_a_good_frame_that_is_no_request_is_neither_answered_nor_damage(
     stage: Stage, scheme: str, count: int, is_gateway: bool
 ) -> None:
     """In one piece or in three; with a right CRC it is of another unit, or of no unit."""
-    made, url = LINES[scheme][0], place_on(scheme)
+    encode, url = LINES[scheme][0], place_on(scheme)
     with unit_one(url, is_gateway=is_gateway) as (server, writes), saying(stage, url) as say:
         for body, unit in itertools.product(NO_REQUESTS, (0, 1, 2)):
-            assert say(made(f"{unit:02X} {body}"), count) == b"", (body, unit)
-            assert say(made("01 03 0001 0001")) == made("01 03 02 0000"), (body, unit)
+            assert say(encode(f"{unit:02X} {body}"), count) == b"", (body, unit)
+            assert say(encode("01 03 0001 0001")) == encode("01 03 02 0000"), (body, unit)
         assert server.statistics.bad_frames == 0
         assert writes == []
-        assert say(made("01 08 000C 0000")) == made("01 08 000C 0000")
+        assert say(encode("01 08 000C 0000")) == encode("01 08 000C 0000")
 
 
 @each_line
 def test_a_gateway_passes_on_no_frame_that_is_no_request(stage: Stage, scheme: str) -> None:
-    made, url = LINES[scheme][0], place_on(scheme)
+    encode, url = LINES[scheme][0], place_on(scheme)
     with unit_one(url, is_gateway=True) as (gateway, _), saying(stage, url) as say:
         for body, unit in itertools.product([*NO_REQUESTS, "03 0001 0001"], (0, 1, 2)):
-            say(made(f"{unit:02X} {body}"))
+            say(encode(f"{unit:02X} {body}"))
         units = [each for line in gateway.traffic.lines.values() for each in line.units.values()]
         assert [each.requests for each in units] == [1]
 
 
 @each_stream
 @pytest.mark.parametrize("unit", [1, 2])
-def test_damage_with_such_a_function_is_counted(stage: Stage, scheme: str, unit: int) -> None:
+def test_damage_with_a_refused_function_is_counted(stage: Stage, scheme: str, unit: int) -> None:
     """A function of 80h or more and a wrong CRC."""
-    made, url = LINES[scheme][0], place_on(scheme)
+    encode, url = LINES[scheme][0], place_on(scheme)
     with unit_one(url) as (server, _), saying(stage, url) as say:
-        assert say(damaged(made(f"{unit:02X} 80"))) == b""
-        assert say(made("01 03 0001 0001")) == made("01 03 02 0000")
+        assert say(damaged(encode(f"{unit:02X} 80"))) == b""
+        assert say(encode("01 03 0001 0001")) == encode("01 03 02 0000")
         assert server.statistics.bad_frames == 1
 
 
@@ -204,11 +204,11 @@ def test_a_frame_in_a_request_is_not_written_through_a_gateway(stage: Stage, hea
 
 @each_line
 def test_a_loopback_that_holds_a_write_comes_back_whole(stage: Stage, scheme: str) -> None:
-    made, url = LINES[scheme][0], place_on(scheme)
-    write = made("01 06 0001 0003")
+    encode, url = LINES[scheme][0], place_on(scheme)
+    write = encode("01 06 0001 0003")
     with unit_one(url) as (server, writes), saying(stage, url) as say:
         for data in (b"\1\2", write * 2, write * 10):
-            frame = made("01 08 0000" + data.hex())
+            frame = encode("01 08 0000" + data.hex())
             assert say(frame) == frame
         assert writes == []
         assert server.statistics.bad_frames == 0

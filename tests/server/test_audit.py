@@ -61,27 +61,27 @@ def asking(server: Server | Gateway, transport: str = "tcp") -> Iterator[Any]:
 
 def said(event: AuditEvent) -> dict[str, Any]:
     """Return an event as it is written, without time and peer."""
-    found = json.loads(event.json())
-    assert found.pop("time").endswith("Z")
-    assert found.pop("peer").startswith("127.0.0.1:")
-    return dict(found)
+    entry = json.loads(event.json())
+    assert entry.pop("time").endswith("Z")
+    assert entry.pop("peer").startswith("127.0.0.1:")
+    return dict(entry)
 
 
 @NEEDS_IPV6
 @pytest.mark.parametrize("transport", TRANSPORTS)
 def test_an_ipv6_client_has_one_name(transport: str, events: Events) -> None:
     """In all events, as in URLs: with brackets around the address."""
-    told: list[str | None] = []
-    served = Server(device(), audit=events.append, trace=lambda each: told.append(each.peer))
-    closed = Server(device(), limits=Limits(allow=["192.0.2.0/24"]), audit=events.append)
+    names: list[str | None] = []
+    server = Server(device(), audit=events.append, trace=lambda each: names.append(each.peer))
+    other_server = Server(device(), limits=Limits(allow=["192.0.2.0/24"]), audit=events.append)
     url = f"{transport}://[::1]:0"
-    with served.background(url) as one, closed.background(url) as other:
+    with server.background(url) as one, other_server.background(url) as other:
         with Client(one.urls[0], unit=5, timeout=20) as client:
             client.write_register(0, 1)
         with Client(other.urls[0], unit=5, timeout=0.1) as client, pytest.raises(ModbusError):
             client.write_register(0, 1)
     assert {each.event for each in events} == {"write", "disallowed"}
-    for peer in (*told, *(each.peer for each in events)):
+    for peer in (*names, *(each.peer for each in events)):
         assert peer is not None
         assert re.fullmatch(r"\[::1\]:\d+", peer)
 
@@ -142,8 +142,8 @@ def test_only_what_authorize_does_not_allow_is_recorded_as_refused(transport, ev
     def refuse(access: Access) -> None:
         raise IllegalFunction
 
-    guarded = device(authorize=authorize, before_read=refuse, exception_status=1)
-    server = Server(guarded, audit=events.append)
+    device_ = device(authorize=authorize, before_read=refuse, exception_status=1)
+    server = Server(device_, audit=events.append)
     with (
         server.background(f"{transport}://127.0.0.1:0") as running,
         Client(running.urls[0], unit=5, timeout=20) as plc,
@@ -297,15 +297,15 @@ def test_writes_are_refused_while_a_required_trail_fails(kind, caplog) -> None:
             trail.fails = False
             plc.write_register(0, 10)
     values = [(each.changes[0].access.values, each.result) for each in trail.taken]
-    failed = "server device failure (exception 4)"
-    assert values == [((8,), "ok"), ((9,), failed), ((9,), failed), ((10,), "ok")]
+    failure = "server device failure (exception 4)"
+    assert values == [((8,), "ok"), ((9,), failure), ((9,), failure), ((10,), "ok")]
     assert [each for each in caplog.messages if "audit" in each] == [
         "audit: OSError: [Errno 28] No space left on device",
         "audit: events are recorded again; 0 were lost",
     ]
 
 
-def test_writes_go_on_while_another_trail_fails_and_what_is_lost_is_told(caplog) -> None:
+def test_writes_go_on_while_another_trail_fails_and_losses_are_logged(caplog) -> None:
     trail = Failing()
     with asking(Server(device(), audit=trail)) as plc:
         trail.fails = True
@@ -360,8 +360,8 @@ def test_no_write_is_carried_out_that_a_required_file_cannot_record(
         os.mkfifo(path)
         reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     file = AuditFile(path)
-    served = device()
-    with asking(Server(served, audit=Audit(file, required=True))) as plc:
+    device_ = device()
+    with asking(Server(device_, audit=Audit(file, required=True))) as plc:
         plc.write_register(0, 8)
         if reader >= 0:
             os.close(reader)
@@ -369,7 +369,7 @@ def test_no_write_is_carried_out_that_a_required_file_cannot_record(
         for value in (9, 10):
             with pytest.raises(ServerDeviceFailure):
                 plc.write_register(0, value)
-        assert served.mapping.holding_registers[0] == 8
+        assert device_.mapping.holding_registers[0] == 8
         assert [reason in each for each in caplog.messages if "audit" in each] == [True]
         monkeypatch.undo()
         if trouble is refuse_to_open:
@@ -488,7 +488,7 @@ def test_a_named_pipe_without_a_reader_is_refused_at_once(tmp_path: Path) -> Non
         AuditFile(path)
 
 
-def test_a_named_pipe_holds_up_nobody(tmp_path: Path) -> None:
+def test_a_named_pipe_delays_no_client(tmp_path: Path) -> None:
     """Its reader is slow, and then gone, also when the file is opened again."""
     path = tmp_path / "pipe"
     os.mkfifo(path)

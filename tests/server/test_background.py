@@ -71,10 +71,10 @@ def left() -> tuple[int, int]:
     return len(os.listdir("/proc/self/task")), len(os.listdir("/proc/self/fd"))
 
 
-def is_left(expected: tuple[int, int]) -> bool:
+def is_left(counts: tuple[int, int]) -> bool:
     """Return True if there are no more of them, soon: the system takes a moment to end a thread."""
     deadline = time.monotonic() + PATIENCE
-    while left() > expected:
+    while left() > counts:
         if time.monotonic() > deadline:
             return False
         time.sleep(0.002)
@@ -86,8 +86,8 @@ def test_ctrl_c_at_any_step_leaves_nothing() -> None:
     code = "from tests.server.test_background import interrupt_each_step; interrupt_each_step()"
     root = Path(__file__).parents[2]
     command = [sys.executable, "-c", code]
-    done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=100)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=100)
+    assert process.returncode == 0, process.stderr
 
 
 def interrupt_each_step() -> None:
@@ -140,8 +140,8 @@ print(raised, threading.active_count(), len(os.listdir("/proc/self/fd")) - befor
 
 
 def test_ctrl_c_once_or_twice_leaves_nothing() -> None:
-    done = subprocess.run([sys.executable, "-c", CTRL_C], capture_output=True, text=True)
-    assert done.stdout == "400 1 0\n", done.stderr
+    process = subprocess.run([sys.executable, "-c", CTRL_C], capture_output=True, text=True)
+    assert process.stdout == "400 1 0\n", process.stderr
 
 
 NEVER_LEFT = """
@@ -153,18 +153,18 @@ manager.__enter__()
 
 def test_a_program_ends_though_a_block_was_never_left() -> None:
     command = [sys.executable, "-c", NEVER_LEFT]
-    done = subprocess.run(command, capture_output=True, timeout=PATIENCE)
-    assert (done.returncode, done.stderr) == (0, b"")
+    process = subprocess.run(command, capture_output=True, timeout=PATIENCE)
+    assert (process.returncode, process.stderr) == (0, b"")
 
 
 def test_the_collector_does_not_wait_for_a_forgotten_server() -> None:
     """The server may wait for a lock, such as a mapping's, that the collector's thread holds."""
     is_blocked, goes_on = threading.Event(), threading.Event()
-    told: list[bool] = []
+    results: list[bool] = []
 
     def hook(access: Access) -> None:
         is_blocked.set()
-        told.append(goes_on.wait(PATIENCE))
+        results.append(goes_on.wait(PATIENCE))
 
     before = left()
     server = Server(Device(Mapping(holding_registers=1), before_read=hook))
@@ -178,7 +178,7 @@ def test_the_collector_does_not_wait_for_a_forgotten_server() -> None:
         goes_on.set()
         assert receive(client, 11) == ANSWER
         assert receive(client, 1) == b""
-    assert told == [True]
+    assert results == [True]
     assert is_left(before)
 
 
@@ -197,7 +197,7 @@ def test_two_threads_may_leave_the_block_at_once() -> None:
 
 
 @pytest.mark.parametrize("where", ["_thread.start_new_thread", "threading.Thread.start"])
-def test_a_system_without_threads_is_told(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_system_without_threads_is_an_error(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise RuntimeError("can't start new thread")
 
@@ -227,9 +227,9 @@ def ending(error: BaseException) -> Server:
 
 @contextlib.contextmanager
 def raised(error: BaseException) -> Iterator[None]:
-    with pytest.raises(type(error)) as found:
+    with pytest.raises(type(error)) as caught:
         yield
-    assert found.value is error
+    assert caught.value is error
 
 
 END = adu(bytes.fromhex("03 0063 0001"))
@@ -284,7 +284,7 @@ def test_serve_forever_and_serving_raise_it(scheme: str, error: BaseException) -
         assert is_left(before)
 
 
-def test_what_one_asked_before_the_end_is_answered() -> None:
+def test_requests_before_the_end_of_the_program_are_answered() -> None:
     """In the same bytes: it was executed."""
     error = SystemExit(3)
     server = ending(error)
@@ -296,25 +296,25 @@ def test_what_one_asked_before_the_end_is_answered() -> None:
 
 def test_a_hook_may_leave_the_block() -> None:
     before = left()
-    failed: list[BaseException] = []
+    errors: list[BaseException] = []
 
     def leave(access: Access) -> None:
         try:
             background.__exit__()
         except BaseException as error:
-            failed.append(error)
+            errors.append(error)
 
     server = Server(Device(Mapping(holding_registers=1), before_read=leave))
     background = server.background("tcp://127.0.0.1:0")
     with background as running, connect(running.urls[0]) as client:
         ask(client, adu(READ_ONE), ANSWER)
         assert receive(client, 1) == b""
-    assert failed == []
+    assert errors == []
     assert is_left(before)
 
 
 @pytest.mark.parametrize("error", ENDS, ids=lambda error: type(error).__name__)
-def test_who_was_read_in_the_same_turn_is_answered(error: BaseException) -> None:
+def test_clients_read_in_one_turn_are_answered(error: BaseException) -> None:
     """The server is kept busy until all have asked."""
     is_blocked, goes_on = threading.Event(), threading.Event()
 

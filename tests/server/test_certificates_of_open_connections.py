@@ -51,9 +51,9 @@ def crl(tmp_path: Path) -> Path:
 def gateway(pki: Pki, **options: Any) -> Iterator[tuple[Gateway, int]]:
     device = Device(Mapping(holding_registers=10))
     with Server(device).background("tcp://127.0.0.1:0") as behind:
-        made = Gateway([Route(behind.urls[0])], **options)
-        with made.background("tls://127.0.0.1:0") as running:
-            yield made, parse(running.urls[0]).port
+        gateway = Gateway([Route(behind.urls[0])], **options)
+        with gateway.background("tls://127.0.0.1:0") as running:
+            yield gateway, parse(running.urls[0]).port
 
 
 @pytest.mark.parametrize("served", [serving, gateway])

@@ -39,7 +39,7 @@ def loop(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @settings(max_examples=80)
 @given(streams(), st.lists(st.integers(0, 4000), max_size=4), st.booleans())
-def test_same_answers_contents_counters_and_statistics(
+def test_c_and_python_give_the_same_answers_and_counters(
     stream: bytes, cuts: list[int], one_for_all: bool
 ) -> None:
     ends = []
@@ -58,26 +58,26 @@ def test_same_answers_contents_counters_and_statistics(
     st.lists(st.tuples(bodies(), st.sampled_from([1, 1, 1, 2, 9, 3])), min_size=1, max_size=12),
     st.integers(0, 30),
 )
-def test_same_for_connections_that_send_one_request_each(asked: list[tuple[bytes, int]], cut: int):
+def test_c_and_python_answer_single_requests_alike(pairs: list[tuple[bytes, int]], cut: int):
     """Together, as in one turn of the server; one of them may send a part, and then the rest."""
     states = []
     for kind in ("chunk", "frames"):
-        hooked = made_device(before_write=lambda access: None)
-        devices = {1: made_device(), 2: made_device(), 3: hooked}
-        ends = [End(devices, kind) for _ in asked]
+        third = made_device(before_write=lambda access: None)
+        devices = {1: made_device(), 2: made_device(), 3: third}
+        ends = [End(devices, kind) for _ in pairs]
         if kind == "chunk":
             for end in ends:
                 end.share(ends[0])
-        requests = [adu(body, number, unit) for number, (body, unit) in enumerate(asked)]
+        requests = [adu(body, number, unit) for number, (body, unit) in enumerate(pairs)]
         ends[0].receive(requests[0][:cut], is_last=False)
         requests[0] = requests[0][cut:]
         for end, request in zip(ends, requests, strict=True):
             end.receive(request, is_last=end is ends[-1])
-        sent = [bytes(end.sent) for end in ends]
-        counted = [end.statistics for end in ends]
-        totals = [sum(each.requests for each in counted), sum(each.refused for each in counted)]
+        answers = [bytes(end.sent) for end in ends]
+        tallies = [end.statistics for end in ends]
+        totals = [sum(each.requests for each in tallies), sum(each.refused for each in tallies)]
         tables = [contents(device) for device in devices.values()]
-        states.append((sent, totals, tables, [notes(device) for device in devices.values()]))
+        states.append((answers, totals, tables, [notes(device) for device in devices.values()]))
     assert states[0] == states[1]
 
 
@@ -119,7 +119,7 @@ def test_holes_are_answered_with_exception_2_and_stay_as_they_are(body: bytes) -
 
 @settings(max_examples=60)
 @given(st.binary(min_size=1, max_size=600), st.lists(st.integers(0, 600), max_size=4))
-def test_same_for_bytes_that_are_no_requests(data: bytes, cuts: list[int]) -> None:
+def test_c_and_python_treat_bytes_that_are_no_requests_alike(data: bytes, cuts: list[int]) -> None:
     """Where a length makes no sense both stop, and what came before is answered."""
     stream = adu(b"\x03\0\x07\0\x01", 1) + data
     ends = []
@@ -224,13 +224,13 @@ def test_nothing_beside_a_table_is_touched_whatever_libmodbus_checks(
     3.1.6 as released writes in front of the table (CVE-2022-0367), Debian's is patched: here
     it is a modbus_reply that checks no address at all.
     """
-    done = subprocess.run([compiled("beside")], capture_output=True, text=True, timeout=50)
-    assert done.stderr == ""
-    assert done.returncode == 0
+    process = subprocess.run([compiled("beside")], capture_output=True, text=True, timeout=50)
+    assert process.stderr == ""
+    assert process.returncode == 0
     # 40 items: singles (5, 6, 22) for each of 6 counts; of 1, 2, 39 and 40 items so many
     # first addresses are right for 8 others (23 twice).
     executed = 3 * 6 * 40 + 8 * (40 + 39 + 2 + 1)
-    assert done.stdout == f"{65536 * 6 * 11 - executed} refused, {executed} executed\n"
+    assert process.stdout == f"{65536 * 6 * 11 - executed} refused, {executed} executed\n"
 
 
 def test_more_answers_than_one_call_has_room_for() -> None:

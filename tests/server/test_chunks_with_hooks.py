@@ -36,9 +36,9 @@ def loop(monkeypatch: pytest.MonkeyPatch) -> None:
 @given(streams(), st.lists(st.integers(0, 4000), max_size=4), st.sampled_from([WHOLE, HOLES]))
 def test_hooks_change_no_answer(stream: bytes, cuts: list[int], holds: Any) -> None:
     """A device with hooks answers in Python what one without answers in C."""
-    seen: list[Access] = []
+    accesses: list[Access] = []
     ends = []
-    for hooks in ({}, {"before_read": seen.append, "before_write": seen.append}):
+    for hooks in ({}, {"before_read": accesses.append, "before_write": accesses.append}):
         device = made_device(holds, **hooks)
         end = End({1: device}, "chunk")
         for piece in in_pieces(stream, cuts):
@@ -79,8 +79,8 @@ def small_bodies(draw: st.DrawFn) -> bytes:
 
 @st.composite
 def small_streams(draw: st.DrawFn) -> bytes:
-    asked = draw(st.lists(st.one_of(small_bodies(), small_bodies(), bodies()), max_size=12))
-    return b"".join(adu(body, number) for number, body in enumerate(asked))
+    requests = draw(st.lists(st.one_of(small_bodies(), small_bodies(), bodies()), max_size=12))
+    return b"".join(adu(body, number) for number, body in enumerate(requests))
 
 
 some_ranges = st.lists(
@@ -110,30 +110,30 @@ handled = st.sets(st.sampled_from([pdu.ReadCoils, pdu.WriteRegister, pdu.ReadWri
 Told = list[tuple[str, Access]]
 
 
-def hooked(wanted: dict[str, Any], functions: set[Any], told: Told) -> Device:
+def hooked(ranges: dict[str, Any], functions: set[Any], calls: Told) -> Device:
     """A device whose hooks note what they are told, move what is read, and refuse some."""
 
     def hook(name: str) -> Callable[[Access], None]:
         def call(access: Access) -> None:
-            told.append((name, access))
+            calls.append((name, access))
             if access.address % 17 == 6:
                 raise IllegalDataAddress
             if access.address % 19 == 10:
                 raise ZeroDivisionError
             if name == "before_read" and access.table in HOLES:
-                getattr(device.mapping, access.table)[access.address] = len(told) & 1
+                getattr(device.mapping, access.table)[access.address] = len(calls) & 1
 
         return call
 
     def handle(request: Any) -> Any:
-        told.append((str(request), Access("", 0, 0)))
+        calls.append((str(request), Access("", 0, 0)))
         if isinstance(request, pdu.WriteRegister):
             return None
         return [1] * getattr(request, "read_count", getattr(request, "count", 0))
 
     hooks = {
         name: hook(name) if where == "all" else Hook(hook(name), **where)
-        for name, where in wanted.items()
+        for name, where in ranges.items()
         if where is not None
     }
     device = made_device(SMALL, handlers=dict.fromkeys(functions, handle), **hooks)
@@ -142,40 +142,40 @@ def hooked(wanted: dict[str, Any], functions: set[Any], told: Told) -> Device:
 
 @settings(max_examples=100)
 @given(small_streams(), st.lists(st.integers(0, 4000), max_size=4), hook_places, handled)
-def test_hooks_are_told_alike_both_ways(
-    stream: bytes, cuts: list[int], wanted: dict[str, Any], functions: set[Any]
+def test_hooks_get_the_same_in_c_and_python(
+    stream: bytes, cuts: list[int], ranges: dict[str, Any], functions: set[Any]
 ) -> None:
     ends = []
     for kind in ("chunk", "frames"):
-        told: Told = []
-        device = hooked(wanted, functions, told)
+        calls: Told = []
+        device = hooked(ranges, functions, calls)
         end = End({1: device}, kind)
         for piece in in_pieces(stream, cuts):
             end.receive(piece)
-        states = [contents(device), notes(device), told]
+        states = [contents(device), notes(device), calls]
         ends.append((bytes(end.sent), states, end.statistics, end.is_open))
     assert ends[0] == ends[1]
 
 
 @settings(max_examples=48)
 @given(st.lists(small_bodies(), min_size=1, max_size=12), hook_places, handled)
-def test_hooks_are_told_alike_of_requests_that_come_alone(
-    asked: list[bytes], wanted: dict[str, Any], functions: set[Any]
+def test_hooks_get_the_same_of_single_requests(
+    requests_: list[bytes], ranges: dict[str, Any], functions: set[Any]
 ) -> None:
     states = []
     for kind in ("chunk", "frames"):
-        told: Told = []
-        device = hooked(wanted, functions, told)
-        ends = [End({1: device}, kind) for _ in asked]
+        calls: Told = []
+        device = hooked(ranges, functions, calls)
+        ends = [End({1: device}, kind) for _ in requests_]
         if kind == "chunk":
             for end in ends:
                 end.share(ends[0])
-        for number, (end, body) in enumerate(zip(ends, asked, strict=True)):
+        for number, (end, body) in enumerate(zip(ends, requests_, strict=True)):
             end.receive(adu(body, number), is_last=end is ends[-1])
-        sent = [bytes(end.sent) for end in ends]
-        counted = [end.statistics for end in ends]
-        totals = [sum(each.requests for each in counted), sum(each.refused for each in counted)]
-        states.append((sent, totals, contents(device), notes(device), told))
+        answers = [bytes(end.sent) for end in ends]
+        tallies = [end.statistics for end in ends]
+        totals = [sum(each.requests for each in tallies), sum(each.refused for each in tallies)]
+        states.append((answers, totals, contents(device), notes(device), calls))
     assert states[0] == states[1]
 
 
@@ -185,50 +185,50 @@ def is_wanted(where: Any, access: Access) -> bool:
         return where is not None
     if access.table in ("file", "fifo"):
         number = access.file if access.table == "file" else access.address
-        wanted, addresses = where.get(access.table + "s", []), range(number, number + 1)
+        place, addresses = where.get(access.table + "s", []), range(number, number + 1)
     else:
-        wanted = where.get(access.table, [])
+        place = where.get(access.table, [])
         addresses = range(access.address, access.address + access.count)
-    ranges = [wanted] if isinstance(wanted, range) else wanted
+    ranges = [place] if isinstance(place, range) else place
     return any(address in each for each in ranges for address in addresses)
 
 
 @settings(max_examples=60)
 @given(small_streams(), hook_places)
-def test_hooks_are_told_of_what_touches_their_places(stream: bytes, wanted: dict[str, Any]) -> None:
+def test_hooks_get_accesses_to_their_places(stream: bytes, ranges: dict[str, Any]) -> None:
     """Against the same hooks, told of all: none of them changes or refuses anything."""
     calls: list[Told] = []
-    for given_places in (wanted, dict.fromkeys(wanted, "all")):
-        told: Told = []
+    for given_places in (ranges, dict.fromkeys(ranges, "all")):
+        events: Told = []
         hooks: dict[str, Any] = {}
         for name, where in given_places.items():
 
-            def note(access: Access, name: str = name, told: Told = told) -> None:
-                told.append((name, access))
+            def note(access: Access, name: str = name, events: Told = events) -> None:
+                events.append((name, access))
 
             if where is not None:
                 hooks[name] = note if where == "all" else Hook(note, **where)
         end = End({1: made_device(SMALL, **hooks)}, "chunk")
         end.receive(stream)
-        calls.append(told)
-    assert calls[0] == [each for each in calls[1] if is_wanted(wanted[each[0]], each[1])]
+        calls.append(events)
+    assert calls[0] == [each for each in calls[1] if is_wanted(ranges[each[0]], each[1])]
 
 
 def is_answered_in_c(device: Device, body: bytes, monkeypatch: pytest.MonkeyPatch) -> bool:
     """Both in a chunk and alone."""
-    asked: list[bytes] = []
+    requests: list[bytes] = []
 
     def respond(device: Device, body: bytes, log: Any, caller: Any) -> bytes:
-        asked.append(body)
+        requests.append(body)
         return b"\x83\1"
 
     with monkeypatch.context() as patch:
         patch.setattr(Device, "_respond", respond)
         End({1: device}, "chunk").receive(adu(body, 1) * 2)
-        assert len(asked) in (0, 2)
+        assert len(requests) in (0, 2)
         End({1: device}, "chunk").receive(adu(body, 1))
-        assert len(asked) in (0, 3)
-    return not asked
+        assert len(requests) in (0, 3)
+    return not requests
 
 
 WRITE_READ = b"\x17" + in_words(100, 1, 300, 1) + b"\2\0\1"
@@ -316,15 +316,15 @@ def test_only_what_hooks_and_handlers_want_is_answered_in_python(
 TOGETHER = pytest.mark.parametrize("connections", [1, 5], ids=["a chunk", "one each"])
 
 
-def in_one_turn(devices: Any, asked: list[bytes], connections: int) -> list[bytes]:
+def in_one_turn(devices: Any, requests: list[bytes], connections: int) -> list[bytes]:
     """Return the answers to requests of one connection, or of several in one turn."""
     ends = [End(devices, "chunk") for _ in range(connections)]
     for end in ends:
         end.share(ends[0])
     if connections == 1:
-        ends[0].receive(b"".join(asked))
+        ends[0].receive(b"".join(requests))
     else:
-        for end, request in zip(ends, asked, strict=True):
+        for end, request in zip(ends, requests, strict=True):
             end.receive(request, is_last=end is ends[-1])
     return list(split(b"".join(bytes(end.sent) for end in ends)))
 
@@ -340,13 +340,13 @@ def test_a_hook_changes_what_the_next_request_of_the_turn_reads(connections: int
     first = made_device(before_write=Hook(change, holding_registers=range(100, 101)))
     read, write = b"\3" + in_words(7, 1), b"\6" + in_words(100, 5)
     bodies = [(read, 1), (read, 2), (write, 1), (read, 0), (read, 2)]
-    found = in_one_turn(
+    bodies_ = in_one_turn(
         {0: first, 1: first, 2: second},
         [adu(body, number, unit) for number, (body, unit) in enumerate(bodies)],
         connections,
     )
     answers = [b"\3\2\0\0", b"\3\2\0\0", write, b"\3\2\0\x63", b"\3\2\0\x63"]
-    assert found == [
+    assert bodies_ == [
         adu(answer, number, unit)
         for number, (answer, (_, unit)) in enumerate(zip(answers, bodies, strict=True))
     ]
@@ -360,6 +360,6 @@ def test_a_hook_may_give_its_device_another_mapping(connections: int) -> None:
     hook = Hook(change, holding_registers=range(9, 10))
     device = Device(Mapping(holding_registers={0: range(10)}), before_write=hook)
     read, far, write = b"\3" + in_words(1, 1), b"\3" + in_words(5, 1), b"\6" + in_words(9, 5)
-    asked = [adu(body, number) for number, body in enumerate([read, far, write, read, far])]
-    answers = [each[7:] for each in in_one_turn({1: device}, asked, connections)]
+    requests = [adu(body, number) for number, body in enumerate([read, far, write, read, far])]
+    answers = [each[7:] for each in in_one_turn({1: device}, requests, connections)]
     assert answers == [b"\3\2\0\1", b"\3\2\0\5", b"\x86\2", b"\3\2\0\x33", b"\x83\2"]

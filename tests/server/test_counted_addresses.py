@@ -25,7 +25,7 @@ from tests.support.chunks import FakeChannel
 
 
 @each_case(
-    ("host", "counted"),
+    ("host", "network"),
     [
         ("192.0.2.7", "192.0.2.7"),
         ("::ffff:192.0.2.7", "192.0.2.7"),
@@ -38,9 +38,9 @@ from tests.support.chunks import FakeChannel
         ("fe80::2%eth0", "fe80::2%eth0"),
     ],
 )
-def test_an_ipv6_address_counts_as_its_64(host: str, counted: str) -> None:
-    assert counted_host(host) == counted
-    assert host_of(host_and_port(host, 502)) == counted
+def test_an_ipv6_address_counts_as_its_64(host: str, network: str) -> None:
+    assert counted_host(host) == network
+    assert host_of(host_and_port(host, 502)) == network
 
 
 async def test_all_addresses_of_a_64_share_an_allowance() -> None:
@@ -69,7 +69,7 @@ def never(_: object) -> Session:
     raise AssertionError("no handshake ends here")
 
 
-async def test_half_open_handshakes_of_one_address_take_nobody_elses_place(
+async def test_half_open_handshakes_of_one_address_take_no_place_of_another(
     monkeypatch, pki: Pki
 ) -> None:
     monkeypatch.setattr(tls, "HALF_OPEN", 10)

@@ -112,9 +112,9 @@ def test_writes_are_carried_out_once(
         assert server.statistics.echoes == (0 if is_set else 1)
         if stray == STRAYS[0]:
             assert server.statistics.bad_frames == 0
-    told = warnings(caplog)
-    assert len(told) == (0 if is_set else 1)
-    for text in told:
+    messages = warnings(caplog)
+    assert len(messages) == (0 if is_set else 1)
+    for text in messages:
         assert text.startswith(f"{scheme}://{LINE}: what is sent comes back (local echo)")
         assert "set echo=1" in text
 
@@ -262,7 +262,7 @@ def test_nothing_is_looked_for_where_it_is_set_that_there_is_no_echo(stage: Stag
             assert server.statistics.requests == 3
 
 
-def test_connections_with_an_echo_are_counted_each_and_told_once(stage: Stage, caplog) -> None:
+def test_connections_with_an_echo_are_all_counted_and_logged_once(stage: Stage, caplog) -> None:
     with unit_one(f"rtu+tcp://{TCP}") as (server, _):
         for count in (1, 2, 3):
             end = Converter(stage, 0.01)
@@ -270,8 +270,8 @@ def test_connections_with_an_echo_are_counted_each_and_told_once(stage: Stage, c
             stage.pass_time(1)
             assert server.statistics.echoes == count
             end.close()
-    (told,) = warnings(caplog)
-    assert told.startswith(f"rtu+tcp://{TCP}: what is sent comes back")
+    (message,) = warnings(caplog)
+    assert message.startswith(f"rtu+tcp://{TCP}: what is sent comes back")
 
 
 def test_a_port_that_was_unplugged_is_looked_at_again(stage: Stage) -> None:

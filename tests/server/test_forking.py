@@ -66,15 +66,15 @@ signal.alarm(50)
 
 
 def run(script: str) -> None:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-W", "ignore::DeprecationWarning", "-c", HEAD + script],
         capture_output=True,
         text=True,
         timeout=55,
         check=False,
     )
-    assert (done.stdout, done.returncode) == ("good\n", 0)
-    assert "Traceback" not in done.stderr
+    assert (process.stdout, process.returncode) == ("good\n", 0)
+    assert "Traceback" not in process.stderr
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])

@@ -34,8 +34,8 @@ def test_an_illegal_request_does_not_cost_its_neighbours_their_answers(port: int
     answers.append(READ_ANSWER)
     requests, answers = requests * 60, answers * 60
     with connect(port) as connection:
-        asked = b"".join(adu(body, number) for number, body in enumerate(requests))
-        ask(connection, asked, b"".join(adu(body, number) for number, body in enumerate(answers)))
+        frames = b"".join(adu(body, number) for number, body in enumerate(requests))
+        ask(connection, frames, b"".join(adu(body, number) for number, body in enumerate(answers)))
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])

@@ -73,13 +73,13 @@ def beat(master: Master, frame: Any, request: str) -> None:
 def test_each_of_many_equal_writes_is_carried_out(stage: Stage, scheme, is_gateway, pause) -> None:
     url, frame = URLS[scheme], FRAMES[scheme.partition("+")[0]]
     for check, request in each(HEARTBEATS):
-        with check, unit_one(url, is_gateway=is_gateway) as (server, written):
+        with check, unit_one(url, is_gateway=is_gateway) as (server, writes):
             master = Master(stage, url)
             for _ in range(COUNT):
                 beat(master, frame, request)
                 stage.pass_time(pause)
             master.close()
-            assert len(written) == (0 if request[3:5] == "08" else COUNT)
+            assert len(writes) == (0 if request[3:5] == "08" else COUNT)
             assert server.statistics.echoes == 0
             assert server.statistics.bad_frames == 0
 
@@ -88,13 +88,13 @@ def test_each_of_many_equal_writes_is_carried_out(stage: Stage, scheme, is_gatew
 def test_a_heartbeat_between_reads(stage: Stage, scheme: str) -> None:
     """The answer of the first read shows that there is no echo."""
     url, frame = URLS[scheme], FRAMES[scheme.partition("+")[0]]
-    with unit_one(url) as (server, written):
+    with unit_one(url) as (server, writes):
         master = Master(stage, url)
         for _ in range(COUNT):
             assert master.ask(frame("01 03 0000 0001"), len(frame("01 03 02 0000")))
             beat(master, frame, "01 06 0001 0003")
         master.close()
-        assert len(written) == COUNT
+        assert len(writes) == COUNT
         assert server.statistics.echoes == 0
 
 
@@ -104,12 +104,12 @@ def test_a_heartbeat_on_a_real_port(scheme: str, query: str) -> None:
     """Without a pause, by a client of this package; bytes take no time there."""
     with (
         SerialWire() as wire,
-        unit_one(f"{scheme}://{wire.server}?{query}") as (server, written),
+        unit_one(f"{scheme}://{wire.server}?{query}") as (server, writes),
         Client(f"{scheme}://{wire.client}?{query}&unit=1&timeout=3&retries=0") as plc,
     ):
         for _ in range(COUNT):
             plc.write_register(1, 3)
-    assert len(written) == COUNT
+    assert len(writes) == COUNT
     assert server.statistics.echoes == 0
 
 
@@ -125,17 +125,17 @@ def test_libmodbus_is_the_master(query: str) -> None:
         ),
         "mask_write": lambda line: lib.modbus_mask_write_register(line, 1, 0xFF, 0) != -1,
     }
-    with SerialWire() as wire, unit_one(f"rtu://{wire.server}?{query}") as (server, written):
+    with SerialWire() as wire, unit_one(f"rtu://{wire.server}?{query}") as (server, writes):
         line = lib.modbus_new_rtu(wire.client.encode(), 115200, b"N", 8, 1)
         try:
             lib.modbus_set_slave(line, 1)
             lib.modbus_set_response_timeout(line, 3, 0)
             assert lib.modbus_connect(line) == 0
             for check, name in each(beats):
-                written.clear()
+                writes.clear()
                 with check:
                     assert all(beats[name](line) for _ in range(COUNT))
-                    assert len(written) == COUNT
+                    assert len(writes) == COUNT
         finally:
             lib.modbus_close(line)
             lib.modbus_free(line)

@@ -42,16 +42,16 @@ LYING = [
 
 
 @pytest.mark.parametrize("body", LYING, ids=lambda body: body[:8].hex())
-def test_a_lying_request_changes_nothing_and_hurts_nobody(port: int, device: Device, body) -> None:
+def test_a_wrong_length_changes_nothing_and_hurts_nobody(port: int, device: Device, body) -> None:
     before = contents(device)
     with connect(port) as liar, Client(f"tcp://127.0.0.1:{port}", unit=17) as innocent:
         liar.sendall(adu(body) + adu(READ, 2))
         expected_last = adu(READ_ANSWER, 2)
-        received = b""
-        while not received.endswith(expected_last):
+        answers = b""
+        while not answers.endswith(expected_last):
             piece = liar.recv(260)
             assert piece
-            received += piece
+            answers += piece
         assert contents(device) == before
         assert innocent.read_holding_registers(100, 1) == [1000]
 
@@ -69,7 +69,7 @@ def test_a_length_that_cannot_be_closes_the_connection(port: int, length: int) -
         assert innocent.read_holding_registers(100, 1) == [1000]
 
 
-def test_who_is_closed_is_not_reset_although_more_had_come(port: int) -> None:
+def test_a_closed_client_is_not_reset_although_more_had_come(port: int) -> None:
     """A reset could take the answers that were sent before from the client."""
     for _ in range(5):
         with connect(port) as liar:
@@ -91,9 +91,9 @@ def test_random_bytes_change_nothing(stage: Stage, scheme: str, device: Device) 
         for _ in range(60):
             flood = stage.talk(running.urls[0])
             flood.end.send(chance.randbytes(4096))
-            asked = stage.now
+            start = stage.now
             assert innocent.read_holding_registers(100, 1) == [1000]
-            assert stage.now - asked < 0.01
+            assert stage.now - start < 0.01
             flood.close()
         stage.pass_time(60)
         assert contents(device) == before
@@ -109,8 +109,8 @@ def test_any_request_gets_one_answer_or_none(port: int, body: bytes, transaction
         while not data.endswith(adu(READ_ANSWER, last)):
             data += connection.recv(600)
         frames = framing.TcpFramer().feed(data)
-        expected = [last] if body[0] & 0x80 else [transaction, last]
-        assert [frame.transaction for frame in frames] == expected
+        transactions = [last] if body[0] & 0x80 else [transaction, last]
+        assert [frame.transaction for frame in frames] == transactions
         assert frames[0].pdu[0] & 0x7F == body[0] & 0x7F or body[0] & 0x80
 
 

@@ -42,14 +42,14 @@ def test_a_trickle_does_not_extend_the_time_of_a_frame(stage: Stage, kind: str, 
     with served(stage, kind, frame_timeout=frame_timeout) as server:
         slow, silent = server.connect(), server.connect()
         ask(slow)
-        begun = stage.now
+        start = stage.now
         for byte in adu(WRITE_MOST):
             slow.sendall(bytes([byte]))
             if stage.until(slow.has_input, frame_timeout / 8):
                 break
         assert slow.is_closed()
         assert (
-            frame_timeout <= stage.now - begun <= frame_timeout + min(1, frame_timeout / 4) + 0.01
+            frame_timeout <= stage.now - start <= frame_timeout + min(1, frame_timeout / 4) + 0.01
         )
         assert server.counts(closed_slow=1, connections=1, requests=1)
         ask(silent)  # who begins nothing has all the time
@@ -80,8 +80,8 @@ def test_the_time_of_a_frame_is_not_that_of_the_answer_before(stage: Stage) -> N
         connection = server.connect()
         connection.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2)[:5])
         connection.sendall(adu(READ_ONE, 2)[5:])
-        expected = adu(ANSWER_ONE, 1) + adu(ANSWER_ONE, 2)
-        assert connection.receive(len(expected)) == expected
+        both = adu(ANSWER_ONE, 1) + adu(ANSWER_ONE, 2)
+        assert connection.receive(len(both)) == both
         assert server.counts(closed_slow=0)
 
 
@@ -90,48 +90,48 @@ def test_half_a_frame_behind_a_late_answer_has_its_time_from_then_on(stage: Stag
         connection = server.connect()
         connection.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2)[:5])
         assert connection.receive(ONE_ANSWER) == adu(ANSWER_ONE)
-        answered = stage.now
+        start = stage.now
         assert connection.is_closed()
-        assert 20 <= stage.now - answered <= 21.01
+        assert 20 <= stage.now - start <= 21.01
         assert server.counts(closed_slow=1)
 
 
 @KIND
 @pytest.mark.parametrize("idle_timeout", [0.5, 3600])
-def test_who_asks_nothing_is_closed(stage: Stage, kind: str, idle_timeout: float) -> None:
+def test_idle_clients_are_closed(stage: Stage, kind: str, idle_timeout: float) -> None:
     look = min(1, idle_timeout / 4)
     with served(stage, kind, idle_timeout=idle_timeout, frame_timeout=4 * look) as server:
-        stranger, known, busy = (server.connect() for _ in range(3))
+        stranger, idle, busy = (server.connect() for _ in range(3))
         stage.pass_time(idle_timeout / 2)
-        ask(known)
-        begun = stage.now
-        closed: dict[Talker, float] = {}
-        while len(closed) < 2:
+        ask(idle)
+        start = stage.now
+        ends: dict[Talker, float] = {}
+        while len(ends) < 2:
             ask(busy)
             stage.pass_time(idle_timeout / 20)
-            for each in (stranger, known):
+            for each in (stranger, idle):
                 if each.has_input():
-                    closed.setdefault(each, stage.now - begun)
+                    ends.setdefault(each, stage.now - start)
         late = look + idle_timeout / 20 + 0.01
-        assert idle_timeout / 2 - 0.01 <= closed[stranger] <= idle_timeout / 2 + late
-        assert idle_timeout - 0.01 <= closed[known] <= idle_timeout + late
+        assert idle_timeout / 2 - 0.01 <= ends[stranger] <= idle_timeout / 2 + late
+        assert idle_timeout - 0.01 <= ends[idle] <= idle_timeout + late
         assert stranger.is_closed()
-        assert known.is_closed()
+        assert idle.is_closed()
         ask(busy)
         assert server.counts(connections=1, closed_idle=2)
 
 
-def test_nobody_is_closed_for_asking_nothing_where_no_limit_says_so(stage: Stage) -> None:
+def test_idle_clients_stay_where_no_limit_says_otherwise(stage: Stage) -> None:
     with served(stage, idle_timeout=None) as server:
-        known, stranger = server.connect(), server.connect()
-        ask(known)
+        idle, stranger = server.connect(), server.connect()
+        ask(idle)
         stage.pass_time(2 * 3600)
-        ask(known)
+        ask(idle)
         ask(stranger)
         assert server.counts(connections=2, closed_idle=0, closed_slow=0)
 
 
-def test_who_is_answered_when_silence_completes_its_frames_is_not_idle(stage: Stage) -> None:
+def test_clients_whose_frames_silence_completes_are_not_idle(stage: Stage) -> None:
     with served(stage, "plain", "rtu+tcp", idle_timeout=0.8) as server:
         sly, idle = server.connect(), server.connect()
         answer = rtu(ANSWER_ONE)
@@ -143,16 +143,16 @@ def test_who_is_answered_when_silence_completes_its_frames_is_not_idle(stage: St
         assert idle.is_closed()
 
 
-@pytest.mark.parametrize("sent", [b"", adu(READ_ONE)[:5]], ids=["idle", "slow"])
-def test_clients_of_the_system_are_closed_in_time(sent: bytes) -> None:
+@pytest.mark.parametrize("data", [b"", adu(READ_ONE)[:5]], ids=["idle", "slow"])
+def test_clients_of_the_system_are_closed_in_time(data: bytes) -> None:
     """The real copy of what this file shows in simulated seconds."""
     limits = Limits(frame_timeout=0.1, idle_timeout=0.2)
     server = Server({17: Device(Mapping(holding_registers=1))}, limits=limits)
     with server.background("tcp://127.0.0.1:0") as running, connect(running.urls[0]) as client:
-        client.sendall(sent)
+        client.sendall(data)
         assert client.recv(1) == b""
     assert (server.statistics.closed_slow, server.statistics.closed_idle) == (
-        (1, 0) if sent else (0, 1)
+        (1, 0) if data else (0, 1)
     )
 
 
@@ -173,7 +173,7 @@ def answers(count: int) -> bytes:
 
 @KIND
 @pytest.mark.parametrize("max_unsent", [0, 65_536])
-def test_who_never_reads_is_not_read_and_later_gets_every_answer(
+def test_a_client_that_reads_late_gets_every_answer(
     stage: Stage, kind: str, max_unsent: int
 ) -> None:
     with served(stage, kind, max_unsent=max_unsent, frame_timeout=10) as server:
@@ -194,7 +194,7 @@ def test_who_never_reads_is_not_read_and_later_gets_every_answer(
 
 
 @KIND
-def test_who_says_that_nothing_more_comes_still_gets_every_answer(stage: Stage, kind: str) -> None:
+def test_a_half_closed_client_gets_every_answer(stage: Stage, kind: str) -> None:
     with served(stage, kind) as server:
         deaf = server.connect()
         deaf.sendall(pipelined(MANY))
@@ -211,7 +211,7 @@ def test_the_last_answers_must_be_taken_within_the_time_of_a_frame(stage: Stage,
     with served(stage, kind, max_unsent=2**30, frame_timeout=20) as server:
         deaf = server.connect()
         deaf.sendall(pipelined(MANY) + bytes(8))
-        begun = stage.now
+        start = stage.now
         assert stage.until(lambda: server.statistics.connections == 0)
-        assert 20 <= stage.now - begun <= 21.01
+        assert 20 <= stage.now - start <= 21.01
         assert server.counts(closed_out_of_step=1, closed_slow=1, requests=MANY)

@@ -40,12 +40,12 @@ ENDS: dict[str, tuple[Any, ...]] = {
 }
 
 
-def test_limits_unless_given() -> None:
-    made = Limits()
-    assert [getattr(made, name) for name in SECONDS] == [5, 5, 3600, 60]
-    assert (made.when_full, made.max_unsent, made.allow) == ("close-idle", 65536, ())
-    assert (made.max_connections, made.connections_per_address) == (None, None)
-    assert made.requests_per_second is None
+def test_limits_have_defaults() -> None:
+    limits = Limits()
+    assert [getattr(limits, name) for name in SECONDS] == [5, 5, 3600, 60]
+    assert (limits.when_full, limits.max_unsent, limits.allow) == ("close-idle", 65536, ())
+    assert (limits.max_connections, limits.connections_per_address) == (None, None)
+    assert limits.requests_per_second is None
 
 
 @pytest.mark.parametrize(("most", "of_address"), [(1, 8), (80, 8), (89, 8), (90, 9), (1000, 100)])
@@ -95,9 +95,9 @@ NETWORKS = [
 ]
 
 
-def test_networks() -> None:
-    for allow, host, allowed in NETWORKS:
-        assert Limits(allow=allow).allows(host) is allowed, (allow, host)
+def test_networks_allow_their_hosts_alone() -> None:
+    for allow, host, is_allowed in NETWORKS:
+        assert Limits(allow=allow).allows(host) is is_allowed, (allow, host)
 
 
 def test_a_copy_of_limits_allows_no_more() -> None:
@@ -153,14 +153,14 @@ def test_serial_lines_are_silent_for_a_unit_without_a_device(stage: Stage, schem
 
 
 def test_serve_has_an_option_for_each_limit(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as stop:
         main(["serve", "--help-all"])
-    assert ended.value.code == 0
-    told = capsys.readouterr().out
+    assert stop.value.code == 0
+    output = capsys.readouterr().out
     limits = [
         f"--{each.name.replace('_', '-')}" for each in dataclasses.fields(Limits) if each.init
     ]
-    assert [name for name in limits if name not in told] == []
+    assert [name for name in limits if name not in output] == []
 
 
 def ask_system(connection: socket.socket) -> None:
@@ -175,7 +175,7 @@ def is_closed(connection: socket.socket) -> bool:
         return True
 
 
-def test_serve_holds_its_clients_to_what_it_was_told() -> None:
+def test_serve_holds_its_clients_to_its_limits() -> None:
     options = ["--max-connections", "2", "--frame-timeout", "0.3", "--idle-timeout", "inf"]
     with (
         ServerProcess(*options, "--max-unsent", "0", "--requests-per-second", "1000") as server,
@@ -217,12 +217,12 @@ def test_without_descriptors_it_serves_whom_it_has_and_later_the_others() -> Non
         until(lambda: server.descriptors() == 48)
         for _ in range(20):
             ask_system(clients[0])
-        waiting = [client for client in clients[1:] if not has_answer(client)]
-        assert 32 <= len(waiting) < 79
+        others = [client for client in clients[1:] if not has_answer(client)]
+        assert 32 <= len(others) < 79
         for client in clients:
-            if client not in waiting:
+            if client not in others:
                 client.close()
-        for client in waiting:
+        for client in others:
             assert receive(client, ONE_ANSWER) == adu(ANSWER_ONE)
             client.close()
 
@@ -234,10 +234,10 @@ def has_answer(client: socket.socket) -> bool:
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM])
 def test_without_descriptors_it_tries_ten_times_a_second(stage: Stage, monkeypatch, number) -> None:
     """Whoever waits to be accepted would wake it without end."""
-    tried: list[float] = []
+    times: list[float] = []
 
     def fail(listener: MemoryListener) -> None:
-        tried.append(stage.now)
+        times.append(stage.now)
         raise OSError(number, os.strerror(number))
 
     with served(stage) as server:
@@ -246,19 +246,19 @@ def test_without_descriptors_it_tries_ten_times_a_second(stage: Stage, monkeypat
         with monkeypatch.context() as short:
             short.setattr(MemoryListener, "accept", fail)
             newcomer = server.connect()
-            begun = stage.now
+            start = stage.now
             newcomer.sendall(adu(READ_ONE))
             stage.pass_time(10)
-            assert len(tried) == pytest.approx(100, abs=1)
+            assert len(times) == pytest.approx(100, abs=1)
             ask(first)
-            assert stage.now - begun < 10.01
+            assert stage.now - start < 10.01
         assert newcomer.receive(ONE_ANSWER) == adu(ANSWER_ONE)
         assert server.counts(accepted=2)
 
 
-def assert_counted(statistics: ServerStatistics, **expected: int) -> None:
-    counted = {name: value for name, value in asdict(statistics).items() if value}
-    assert counted == expected
+def assert_counted(statistics: ServerStatistics, **counts: int) -> None:
+    nonzero = {name: value for name, value in asdict(statistics).items() if value}
+    assert nonzero == counts
 
 
 @KIND
@@ -287,12 +287,12 @@ def test_a_session_over_rtu_over_tcp_is_counted(stage: Stage, kind: str) -> None
     answer, refusal = rtu(ANSWER_ONE), rtu(b"\x83\x03")
     with served(stage, kind, "rtu+tcp") as server:
         client = server.connect()
-        for request, expected in ((READ_ONE, answer), (ILLEGAL_COUNT, refusal)):
+        for request, response in ((READ_ONE, answer), (ILLEGAL_COUNT, refusal)):
             client.sendall(rtu(READ_ONE, STRANGER) + rtu(request))
-            assert client.receive(len(expected)) == expected
-        damaged = bytearray(rtu(READ_ONE))
-        damaged[-1] ^= 0xFF
-        client.sendall(damaged)
+            assert client.receive(len(response)) == response
+        frame = bytearray(rtu(READ_ONE))
+        frame[-1] ^= 0xFF
+        client.sendall(frame)
         stage.pass_time(1)
         assert server.counts(bad_frames=1)
         client.sendall(rtu(READ_ONE))

@@ -78,8 +78,8 @@ def presenting(
             options["crl"] = path
         with greeting(stage, pki, **options) as port:
             for _ in range(TIMES):
-                told = context(pki, identity(), ssl.TLSVersion.TLSv1_2)
-                with TlsClient(port, told, stage=stage) as client, pytest.raises(ssl.SSLError):
+                context_ = context(pki, identity(), ssl.TLSVersion.TLSv1_2)
+                with TlsClient(port, context_, stage=stage) as client, pytest.raises(ssl.SSLError):
                     client.handshake()
             yield
 
@@ -89,9 +89,9 @@ def presenting(
 @contextmanager
 def without_a_handshake(stage: Stage, pki: Pki) -> Iterator[None]:
     with greeting(stage, pki) as port:
-        waiting = [stage.talk(port) for _ in range(TIMES)]
+        clients = [stage.talk(port) for _ in range(TIMES)]
         stage.pass_time(6)
-        assert all(client.is_closed() for client in waiting)
+        assert all(client.is_closed() for client in clients)
         yield
 
 

@@ -76,8 +76,8 @@ def test_fifteen_hundred_connections_at_once_are_served(record_property: Record)
             for number, connection in enumerate(connections):
                 connection.sendall(adu(READ_ONE, number * turn & 0xFFFF))
             for number, connection in enumerate(connections):
-                expected = adu(ANSWER_ONE, number * turn & 0xFFFF)
-                assert receive(connection, len(expected)) == expected
+                answer = adu(ANSWER_ONE, number * turn & 0xFFFF)
+                assert receive(connection, len(answer)) == answer
         assert server.descriptors() == opened + count
         stack.close()
         assert server.has_descriptors(opened)
@@ -90,7 +90,7 @@ def wait_until_accepted(server: ServerProcess, descriptors: int) -> None:
 @pytest.mark.parametrize(
     ("work", "count"), [(churn, CYCLES), (pipeline, REQUESTS)], ids=["cycles", "requests"]
 )
-def test_what_comes_and_goes_leaves_nothing(work, count, record_property) -> None:
+def test_closed_connections_leave_nothing(work, count, record_property) -> None:
     with ServerProcess() as server:
         work(server.port, count // 4)
         descriptors = server.settled_descriptors()
@@ -125,14 +125,14 @@ def ask_on(server: Served, cycles: int) -> None:
 
 @pytest.mark.parametrize("kind", OVER_TCP)
 @pytest.mark.parametrize("work", [come_and_go, ask_on])
-def test_what_comes_and_goes_leaves_no_byte_in_the_server(stage: Stage, kind, work) -> None:
+def test_closed_connections_leave_no_byte_in_the_server(stage: Stage, kind, work) -> None:
     """A leak of one object in ten cycles shows."""
     package = [tracemalloc.Filter(True, "*/libmodbus_py/*")]
 
     def allocated() -> int:
         gc.collect()
-        found = tracemalloc.take_snapshot().filter_traces(package).statistics("filename")
-        return sum(each.count for each in found)
+        figures = tracemalloc.take_snapshot().filter_traces(package).statistics("filename")
+        return sum(each.count for each in figures)
 
     with served(stage, kind) as server:
         work(server, 60)
@@ -152,13 +152,13 @@ READ, ANSWER = bytes.fromhex("03 0001 0001"), bytes.fromhex("03 02 0000")
 @contextmanager
 def without_standard_input() -> Iterator[None]:
     """Leave descriptor 0 to whatever is opened next."""
-    saved = os.dup(0)
+    copy = os.dup(0)
     os.close(0)
     try:
         yield
     finally:
-        os.dup2(saved, 0)
-        os.close(saved)
+        os.dup2(copy, 0)
+        os.close(copy)
 
 
 @pytest.mark.parametrize("ends_well", [True, False])

@@ -58,7 +58,7 @@ POINTS = RegisterMap([Point("flow", "holding_registers", 3)])
     ids=lambda options: "".join(options) or "plain",
 )
 @pytest.mark.parametrize("unit", [1, 0])
-def test_it_is_called_in_a_chunk(options: dict[str, Any], unit: int) -> None:
+def test_an_overridden_answer_is_called_in_a_chunk(options: dict[str, Any], unit: int) -> None:
     device = Refusing(Mapping(holding_registers=4), **options)
     requests = [WRITE, WRITE] if "points" in options else [READ_ONE, WRITE, READ_ONE]
     with (
@@ -67,8 +67,8 @@ def test_it_is_called_in_a_chunk(options: dict[str, Any], unit: int) -> None:
     ):
         peer.sendall(b"".join(adu(each, at, unit) for at, each in enumerate(requests)))
         answers = [REFUSAL if each == WRITE else bytes.fromhex("03 02 0000") for each in requests]
-        expected = b"".join(adu(each, at, unit) for at, each in enumerate(answers))
-        assert receive(peer, len(expected)) == expected
+        response = b"".join(adu(each, at, unit) for at, each in enumerate(answers))
+        assert receive(peer, len(response)) == response
     assert device.mapping.holding_registers[1] == 0
 
 
@@ -89,8 +89,8 @@ def test_a_method_that_is_replaced_later_is_called() -> None:
 
 
 def test_devices_that_override_answer_behind_a_gateway_and_beside_others() -> None:
-    refusing, plain = (kind(Mapping(holding_registers=4)) for kind in (Refusing, Device))
-    server = Server({17: refusing, 18: plain})
+    own, plain = (kind(Mapping(holding_registers=4)) for kind in (Refusing, Device))
+    server = Server({17: own, 18: plain})
     with server.background("tcp://127.0.0.1:0") as behind:
         gateway = Gateway([Route(behind.urls[0], units="17-18")])
         with gateway.background("tcp://127.0.0.1:0") as running:

@@ -45,12 +45,12 @@ def answers(server: Server, scheme: str, units: list[int]) -> list[int | bytes |
 def asked(peer: socket.socket, pieces: list[bytes]) -> dict[int, int | bytes]:
     for piece in pieces:
         peer.sendall(piece)
-    found: dict[int, int | bytes] = {}
+    bodies: dict[int, int | bytes] = {}
     framer = TcpFramer()
-    while 999 not in found:
+    while 999 not in bodies:
         for number, body in ((each.transaction, each.pdu) for each in framer.feed(peer.recv(2000))):
-            found[number] = body if body[0] & 0x80 else int.from_bytes(body[2:], "big")
-    return found
+            bodies[number] = body if body[0] & 0x80 else int.from_bytes(body[2:], "big")
+    return bodies
 
 
 REFUSED = b"\x83\x0b"
@@ -67,7 +67,7 @@ def test_one_device_is_the_server(scheme: str, hooks: Any) -> None:
 
 
 @both
-def test_of_several_one_is_named(scheme: str) -> None:
+def test_of_several_devices_own_unit_names_one(scheme: str) -> None:
     devices = {1: holding(7), 2: holding(8)}
     assert answers(Server(devices), scheme, [0, 255, 2]) == [REFUSED, REFUSED, 8]
     assert answers(Server(devices, unknown_unit="silent"), scheme, [0, 255]) == [None, None]
@@ -122,20 +122,20 @@ def test_lines_know_no_such_units() -> None:
 )
 def test_faults_happen_to_whom_the_server_is(scheme: str, faults, codes) -> None:
     """But for those of the units themselves."""
-    given = {unit: [Fault("exception", code=code)] for unit, code in faults.items()}
-    server = Server({1: holding(7)}, faults=given)
+    faults_of_units = {unit: [Fault("exception", code=code)] for unit, code in faults.items()}
+    server = Server({1: holding(7)}, faults=faults_of_units)
     with (
         server.background(f"{scheme}://127.0.0.1:0") as running,
         Client(running.urls[0], timeout=20) as plc,
     ):
-        found: list[int | None] = []
+        outcomes: list[int | None] = []
         for unit in (0, 255):
             try:
                 plc.for_unit(unit).read_holding_registers(0, 1)
-                found.append(None)
+                outcomes.append(None)
             except errors.ExceptionResponse as refusal:
-                found.append(refusal.code)
-    assert found == codes
+                outcomes.append(refusal.code)
+    assert outcomes == codes
 
 
 @pytest.fixture(params=["tcp", "udp", "rtu+tcp"])
@@ -143,31 +143,31 @@ def plc(request: pytest.FixtureRequest) -> Iterator[Client]:
     devices = {1: holding(7), 2: holding(8, before_read=lambda access: None)}
     with (
         Server(devices).background(f"{request.param}://127.0.0.1:0") as running,
-        Client(running.urls[0], unit=1, timeout=20) as made,
+        Client(running.urls[0], unit=1, timeout=20) as client,
     ):
-        yield made
+        yield client
 
 
 @pytest.mark.parametrize("unit", [1, 2], ids=["c", "python"])
 def test_every_message_is_counted(plc: Client, unit: int) -> None:
     """Whoever answered it, the one that asks included; as on a serial line."""
-    asked = plc.for_unit(unit)
-    assert asked.diagnostics(MESSAGES) == 1
+    client = plc.for_unit(unit)
+    assert client.diagnostics(MESSAGES) == 1
     # Over RTU an exception that follows two values is raised at the end of the timeout only.
     with pytest.raises(errors.IllegalDataAddress):
-        asked.read_holding_registers(9, 1)
+        client.read_holding_registers(9, 1)
     for _ in range(40):
-        asked.read_holding_registers(0, 1)
-    asked.write_register(1, 1)
-    assert asked.diagnostics(MESSAGES) == 44
-    assert asked.read_comm_event_log().message_count == 45
-    assert asked.diagnostics(pdu.SubFunction.SERVER_MESSAGE_COUNT) == 46
-    asked.diagnostics(pdu.SubFunction.CLEAR_COUNTERS)
-    assert asked.diagnostics(MESSAGES) == 1
+        client.read_holding_registers(0, 1)
+    client.write_register(1, 1)
+    assert client.diagnostics(MESSAGES) == 44
+    assert client.read_comm_event_log().message_count == 45
+    assert client.diagnostics(pdu.SubFunction.SERVER_MESSAGE_COUNT) == 46
+    client.diagnostics(pdu.SubFunction.CLEAR_COUNTERS)
+    assert client.diagnostics(MESSAGES) == 1
 
 
 @both
-def test_messages_of_other_units_are_not_heard(scheme: str) -> None:
+def test_messages_of_other_units_are_ignored(scheme: str) -> None:
     """There is no line on which they would pass."""
     devices = {1: holding(7), 2: holding(8)}
     with (
@@ -199,10 +199,10 @@ READ = b"\3\0\0\0\1"
 def test_a_fault_that_cannot_happen_leaves_others_their_turn() -> None:
     """Serial lines have no transactions."""
     transaction, answer = Fault("wrong_transaction"), Fault("no_answer")
-    for has_transaction, expected in ((True, transaction), (False, answer)):
+    for has_transaction, result in ((True, transaction), (False, answer)):
         faults = Faults({1: [transaction, answer]})
-        found = faults.due(Frame(1, READ), has_transaction=has_transaction)
-        assert found == expected
+        fault = faults.due(Frame(1, READ), has_transaction=has_transaction)
+        assert fault == result
 
 
 @pytest.mark.parametrize("pdu", [b"\x41\1", b"\x08\0\0\0\7", b"\x07", b"\3"])

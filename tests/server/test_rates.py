@@ -25,14 +25,14 @@ def test_one_by_one_requests_take_their_time(stage: Stage, kind: str, rate: floa
     with served(stage, kind, requests_per_second=rate) as server:
         eager, other = server.connect(), server.connect(OTHER)
         at_once = max(1, int(rate))
-        begun = stage.now
+        start = stage.now
         for number in range(at_once + 12):
             ask(eager, number)
         # Those at once are free, and the one that overdraws is answered.
-        assert (12 - 1) / rate == pytest.approx(stage.now - begun, abs=0.03)
-        begun = stage.now
+        assert (12 - 1) / rate == pytest.approx(stage.now - start, abs=0.03)
+        start = stage.now
         ask(other)
-        assert stage.now - begun < 0.001
+        assert stage.now - start < 0.001
         assert server.counts(requests=at_once + 13, connections=2, throttled=11)
 
 
@@ -42,16 +42,16 @@ def test_requests_sent_at_once_wait_and_none_is_lost(stage: Stage, kind: str) ->
     count = 300
     with served(stage, kind, requests_per_second=100, frame_timeout=0.2) as server:
         eager, other = server.connect(), server.connect(OTHER)
-        begun = stage.now
+        start = stage.now
         eager.sendall(b"".join(adu(READ_ONE, number) for number in range(count)))
         assert stage.until(lambda: server.statistics.throttled)
         for number in range(50):
             ask(other, number)
-        assert stage.now - begun < 0.1
-        expected = b"".join(adu(ANSWER_ONE, number) for number in range(count))
-        assert eager.receive(len(expected)) == expected
+        assert stage.now - start < 0.1
+        answers = b"".join(adu(ANSWER_ONE, number) for number in range(count))
+        assert eager.receive(len(answers)) == answers
         at_once = READ_BYTES // len(adu(READ_ONE))
-        assert (count - 100 - at_once) / 100 - 0.001 <= stage.now - begun <= (count - 100) / 100
+        assert (count - 100 - at_once) / 100 - 0.001 <= stage.now - start <= (count - 100) / 100
         assert server.counts(requests=count + 50, connections=2, closed_slow=0)
 
 
@@ -79,18 +79,18 @@ def test_a_connection_lost_while_it_waits_leaves_nothing(stage: Stage, kind: str
 def test_connections_of_an_address_share_what_it_may_ask(stage: Stage, kind: str) -> None:
     with served(stage, kind, requests_per_second=10) as server:
         eager = [server.connect() for _ in range(8)]
-        begun = stage.now
-        while stage.now < begun + 10:
+        start = stage.now
+        while stage.now < start + 10:
             for client in eager:
                 client.sendall(adu(READ_ONE))
             stage.pass_time(0.05)
-        answered = server.statistics.requests
+        requests = server.statistics.requests
         # Ten are free, ten come in each second, and one read may overdraw.
         at_once = READ_BYTES // len(adu(READ_ONE))
-        assert 10 * 11 - 1 <= answered <= 10 * 11 + at_once
-        asked = stage.now
+        assert 10 * 11 - 1 <= requests <= 10 * 11 + at_once
+        moment = stage.now
         ask(server.connect(OTHER))
-        assert stage.now - asked < 0.01
+        assert stage.now - moment < 0.01
         assert server.statistics.throttled >= 8
 
 
@@ -100,13 +100,13 @@ def test_connections_of_an_address_share_what_it_may_ask(stage: Stage, kind: str
 )
 def test_a_new_connection_brings_nothing_new_to_ask(stage: Stage, kind: str, count, rest) -> None:
     with served(stage, kind, requests_per_second=5) as server:
-        begun = stage.now
+        start = stage.now
         for _ in range(100):
             with server.connect() as client:
                 client.sendall(count * adu(READ_ONE) + rest)
                 stage.pass_time(0.02)
         # Five are free, and a read may overdraw.
-        free = 5 + 5 * (stage.now - begun)
+        free = 5 + 5 * (stage.now - start)
         assert free - 2 <= server.statistics.requests <= free + count
         assert stage.until(lambda: server.statistics.connections == 0)
 
@@ -146,11 +146,11 @@ def test_a_connection_that_waits_and_is_closed_does_not_keep_the_others(stage: S
 def test_frames_that_silence_completes_count_as_requests(stage: Stage) -> None:
     with served(stage, "plain", "rtu+tcp", requests_per_second=2, idle_timeout=1) as server:
         sly, idle = server.connect(), server.connect()
-        begun = stage.now
+        start = stage.now
         for _ in range(300):
             sly.sendall(NEVER_ENDED + rtu(READ_ONE))
             stage.pass_time(0.05)
-        seconds = stage.now - begun
+        seconds = stage.now - start
         assert server.statistics.throttled >= 1
         # Its whole allowance, what one read may overdraw, and what it gets meanwhile.
         assert 2 * seconds <= server.statistics.requests <= 2 + READ_BYTES // 15 + 2 * seconds
@@ -162,10 +162,10 @@ def test_all_of_a_thousand_that_wait_are_answered(stage: Stage) -> None:
     limits = {"requests_per_second": 10, "connections_per_address": 1000}
     with served(stage, "plain", **limits) as server, ExitStack() as stack:
         eager = [stack.enter_context(server.connect()) for _ in range(1000)]
-        begun = stage.now
+        start = stage.now
         for client in eager:
             client.sendall(adu(READ_ONE))
         for client in eager:
             assert client.receive(ONE_ANSWER) == adu(ANSWER_ONE)
-        assert stage.now - begun == pytest.approx((1000 - 10 - 1) / 10, abs=0.2)
+        assert stage.now - start == pytest.approx((1000 - 10 - 1) / 10, abs=0.2)
         assert server.counts(requests=1000)

@@ -84,7 +84,7 @@ def test_an_endpoint_that_is_still_looked_up_opens_with_the_new_devices(monkeypa
         assert client.read_holding_registers(0, 1) == [2]
 
 
-def test_what_a_server_has_is_told() -> None:
+def test_a_server_has_the_devices_and_faults_of_replace() -> None:
     first, fault = holding(1), Fault("no_answer")
     server = Server(first, faults={None: (fault,)})
     assert server.devices is first
@@ -109,7 +109,7 @@ def test_what_a_server_has_is_told() -> None:
         ({1: holding(1)}, [], "faults must be"),
     ],
 )
-def test_what_cannot_be_changes_nothing(devices: Any, faults: Any, message: str) -> None:
+def test_a_wrong_replacement_changes_nothing(devices: Any, faults: Any, message: str) -> None:
     before = {1: holding(1)}
     server = Server(before, faults={1: [Fault("exception", code=6, every=2)]}, own_unit=1)
     with server.background("tcp://127.0.0.1:0") as running:
@@ -183,51 +183,51 @@ def test_a_hook_may_replace_what_calls_it() -> None:
 def test_replaced_again_and_again_while_a_hundred_clients_read(stage: Stage) -> None:
     """Nobody is disconnected, or gets anything but an answer of one of the devices."""
     server = Server({1: holding(0)})
-    seen: set[int] = set()
+    values: set[int] = set()
 
-    async def poll(url: str, stopped: asyncio.Event) -> int:
+    async def poll(url: str, stop: asyncio.Event) -> int:
         count = 0
         async with AsyncClient(url, unit=1, timeout=30) as client:
-            while not stopped.is_set():
+            while not stop.is_set():
                 try:
                     (value,) = await client.read_holding_registers(0, 1)
-                    seen.add(value)
+                    values.add(value)
                 except ServerDeviceBusy:
                     pass
                 count += 1
         return count
 
     async def all_of_it(url: str) -> list[int]:
-        stopped = asyncio.Event()
-        polls = [asyncio.create_task(poll(url, stopped)) for _ in range(100)]
+        stop = asyncio.Event()
+        polls = [asyncio.create_task(poll(url, stop)) for _ in range(100)]
         for number in range(15):
             faults = {1: [Fault("exception", code=6, every=3)]} if number % 2 else None
             server.replace({1: holding(number)}, faults=faults)  # type: ignore[arg-type]
             await asyncio.sleep(0.001)
-        stopped.set()
+        stop.set()
         return await asyncio.gather(*polls)
 
     with server.background("tcp://10.0.0.1:0") as running:
         counts = stage.wait(all_of_it(running.urls[0]))
         assert min(counts) > 15
         assert server.statistics.accepted == 100
-        assert seen == set(range(15))
+        assert values == set(range(15))
         assert stage.until(lambda: server.statistics.connections == 0)
     gc.collect()
     assert sum(isinstance(each, Device) for each in gc.get_objects()) < 15
 
 
-def test_replacing_while_it_ends_is_harmless() -> None:
+def test_replacing_while_a_server_ends_is_harmless() -> None:
     server = Server(holding(1))
-    stopped = threading.Event()
-    failed: list[BaseException] = []
+    stop = threading.Event()
+    errors: list[BaseException] = []
 
     def replace() -> None:
         try:
-            while not stopped.is_set():
+            while not stop.is_set():
                 server.replace(holding(2))
         except BaseException as error:
-            failed.append(error)
+            errors.append(error)
 
     thread = threading.Thread(target=replace)
     thread.start()
@@ -237,15 +237,15 @@ def test_replacing_while_it_ends_is_harmless() -> None:
                 port = int(running.urls[0].rpartition(":")[2])
                 socket.create_connection(("127.0.0.1", port), 5).close()
     finally:
-        stopped.set()
+        stop.set()
         thread.join()
-    assert failed == []
+    assert errors == []
     assert server._answering_now == []
 
 
 def test_a_traced_connection_sees_faults_and_is_closed_by_one() -> None:
-    traced: list[str] = []
-    server = Server(holding(1), trace=lambda each: traced.append(each.direction))
+    directions: list[str] = []
+    server = Server(holding(1), trace=lambda each: directions.append(each.direction))
     with (
         server.background("tcp://127.0.0.1:0") as running,
         Client(running.urls[0], unit=1, timeout=5) as client,
@@ -255,4 +255,4 @@ def test_a_traced_connection_sees_faults_and_is_closed_by_one() -> None:
         with pytest.raises(ModbusConnectionError):
             until(lambda: client.read_holding_registers(0, 1) == [2])
         until(lambda: server.statistics.connections == 0)
-    assert traced[:2] == ["received", "sent"]
+    assert directions[:2] == ["received", "sent"]

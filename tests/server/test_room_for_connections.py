@@ -134,13 +134,13 @@ def test_hosts_outside_are_closed_at_once(stage: Stage, kind: str) -> None:
 
 
 @NEEDS_IPV6
-@pytest.mark.parametrize(("allow", "allowed"), [("::1", True), ("2001:db8::/32", False)])
-def test_hosts_of_ipv6(allow: str, allowed: bool) -> None:
+@pytest.mark.parametrize(("allow", "is_allowed"), [("::1", True), ("2001:db8::/32", False)])
+def test_only_allowed_hosts_of_ipv6_are_served(allow: str, is_allowed: bool) -> None:
     server = Server(Device(Mapping(holding_registers=1)), limits=Limits(allow=[allow]))
     with server.background("tcp://[::1]:0") as running, connect(running.urls[0]) as connection:
-        if allowed:
+        if is_allowed:
             connection.sendall(adu(READ_ONE))
             assert receive(connection, ONE_ANSWER) == adu(ANSWER_ONE)
         else:
             assert connection.recv(1) == b""
-    assert server.statistics.disallowed == (not allowed)
+    assert server.statistics.disallowed == (not is_allowed)

@@ -82,11 +82,11 @@ def test_ascii_frames_that_end_with_one_byte_are_taken(stage: Stage, end: bytes)
     OddEnd(stage, end)
     with Client("ascii:///dev/line", unit=1, timeout=1.0) as asks:
         assert asks.read_holding_registers(0, 1) == [7]
-    separator, done = listen.Separator("ascii"), []
+    separator, exchanges = listen.Separator("ascii"), []
     for at, pdu in enumerate(["01 03 0000 0001", "01 03 02 0007"] * 2):
-        done += separator.feed(ascii_frame(pdu, end), at * 0.2)
-        done += separator.tick(at * 0.2 + 0.15)
-    assert [each.kind for each in done] == ["answered"] * 2
+        exchanges += separator.feed(ascii_frame(pdu, end), at * 0.2)
+        exchanges += separator.tick(at * 0.2 + 0.15)
+    assert [each.kind for each in exchanges] == ["answered"] * 2
 
 
 def is_answered(context: Client) -> bool:
@@ -166,8 +166,8 @@ def test_the_latest_answers_wait_and_no_more_than_a_port_keeps() -> None:
 
     with LinePeer(ignore) as line:
         asyncio.run(write_all(line.path, lambda: ANSWERS[-1] in b"".join(line.requests)))
-    found = b"".join(line.requests)
-    pieces = [found[at : at + 256] for at in range(0, len(found), 256)]
+    requests = b"".join(line.requests)
+    pieces = [requests[at : at + 256] for at in range(0, len(requests), 256)]
     assert pieces == [ANSWERS[0], *ANSWERS[-16:]]
 
 

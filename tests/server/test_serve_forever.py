@@ -102,7 +102,7 @@ def test_signals_end_it_well_whatever_clients_do(number: signal.Signals) -> None
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_it_prints_nothing_and_leaves_the_handlers_as_they_were(number: signal.Signals) -> None:
+def test_serve_forever_prints_nothing_and_restores_signal_handlers(number: signal.Signals) -> None:
     with program(QUIET) as (process, url):
         assert read(url) == [555]
         assert end(process, number) == ("returned\nTrue\nown handler\n", "")
@@ -117,16 +117,16 @@ def test_another_thread_serves_without_signals() -> None:
 
 
 def test_what_on_listening_raises_ends_it() -> None:
-    found: list[Running] = []
+    servers: list[Running] = []
 
     def fail(running: Running) -> None:
-        found.append(running)
+        servers.append(running)
         raise BrokenPipeError
 
     with pytest.raises(BrokenPipeError):
         Server(Device(Mapping())).serve_forever("tcp://127.0.0.1:0", on_listening=fail)
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", parse(found[0].urls[0]).port))
+        socket.create_connection(("127.0.0.1", parse(servers[0].urls[0]).port))
 
 
 def ways(server: Server, url: str) -> list[Callable[[], object]]:

@@ -31,8 +31,8 @@ def test_stops_whatever_clients_do(device: Device) -> None:
 
 
 def test_a_port_that_is_taken_is_a_clear_error(device: Device) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        url = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
+    with socket.create_server(("127.0.0.1", 0)) as sock:
+        url = f"tcp://127.0.0.1:{sock.getsockname()[1]}"
         with (
             pytest.raises(ModbusConnectionError, match="in use") as caught,
             Server(device).background("tcp://127.0.0.1:0", url),
@@ -43,15 +43,15 @@ def test_a_port_that_is_taken_is_a_clear_error(device: Device) -> None:
 
 
 @pytest.mark.parametrize(
-    ("url", "named"),
+    ("url", "message"),
     [
         ("rtu:///dev/no-such-port", "/dev/no-such-port"),
         ("rtu:///dev/null", "not a serial port"),
         ("tcp://no-such-host.invalid:0", "no-such-host"),
     ],
 )
-def test_an_endpoint_that_cannot_be_opened_is_a_clear_error(device: Device, url, named) -> None:
-    with pytest.raises(ModbusConnectionError, match=named), Server(device).background(url):
+def test_an_endpoint_that_cannot_be_opened_is_a_clear_error(device: Device, url, message) -> None:
+    with pytest.raises(ModbusConnectionError, match=message), Server(device).background(url):
         pass
 
 
@@ -64,7 +64,7 @@ def test_devices_must_be_devices(devices: object) -> None:
 
 
 @pytest.mark.parametrize("second", ["127.0.0.2", pytest.param("[::1]", marks=NEEDS_IPV6)])
-def test_serving_in_asyncio(device: Device, second: str) -> None:
+def test_a_server_in_asyncio_listens_on_two_addresses(device: Device, second: str) -> None:
     async def main() -> bytes:
         async with Server(device).serving("tcp://127.0.0.1:0", f"tcp://{second}:0") as running:
             assert [url.rpartition(":")[0] for url in running.urls] == [
@@ -138,8 +138,8 @@ print(start, *counts)
 def counts(before: str) -> list[int]:
     """Return how much is frozen: before, and while and after each of two servers serves."""
     program = [sys.executable, "-c", PROGRAM.format(before=before)]
-    done = subprocess.run(program, capture_output=True, text=True, check=True)
-    return [int(each) for each in done.stdout.split()]
+    process = subprocess.run(program, capture_output=True, text=True, check=True)
+    return [int(each) for each in process.stdout.split()]
 
 
 def test_serve_forever_unfreezes_what_it_froze() -> None:

@@ -42,8 +42,8 @@ def test_everything_that_cuts_frames_waits_for_it() -> None:
     pause = pause_between_frames(300)
     for role in ("client", "server"):
         assert make_framer("rtu", role).quiet == pytest.approx(0.02)  # type: ignore[arg-type]
-        made = make_framer("rtu", role, pause)  # type: ignore[arg-type]
-        assert made.quiet == pytest.approx(pause + 0.02)
+        framer = make_framer("rtu", role, pause)  # type: ignore[arg-type]
+        assert framer.quiet == pytest.approx(pause + 0.02)
     assert listen.Separator("rtu", pause=pause).quiet == pytest.approx(pause + 0.02)
     assert listen.Separator("rtu").quiet == pytest.approx(0.02)
 
@@ -67,14 +67,14 @@ def test_no_part_of_a_frame_is_carried_out(stage: Stage, baudrate: int, is_gatew
 def test_a_listener_hears_whole_frames() -> None:
     """At 300 bit/s, a byte comes after 37 ms."""
     separator = listen.Separator("rtu", pause=pause_between_frames(300))
-    at, done = 0.0, []
+    at, exchanges = 0.0, []
     for frame in (AROUND, rtu("02 10 0000 0004"), READ, ANSWER):
         for byte in frame:
             at += 11 / 300
-            done += separator.feed(bytes([byte]), at)
+            exchanges += separator.feed(bytes([byte]), at)
         at += 0.3
-        done += separator.tick(at)
-    assert [(each.kind, each.function) for each in done] == [("answered", 16), ("answered", 3)]
+        exchanges += separator.tick(at)
+    assert [(each.kind, each.function) for each in exchanges] == [("answered", 16), ("answered", 3)]
 
 
 @pytest.mark.parametrize("is_async", [False, True])

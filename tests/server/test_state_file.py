@@ -163,7 +163,7 @@ def test_a_slow_write_is_followed_by_a_pause_four_times_as_long(folder: Path, mo
     assert pauses == [0.1, 8, 0.1]
 
 
-def test_it_is_written_while_it_is_served(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_state_is_written_while_it_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(state_file, "WRITE_EVERY", 0.001)
     units = plant(folder)
     file = kept(folder, units)
@@ -237,7 +237,7 @@ def failing(number: int) -> Callable[..., Any]:
         ("replace", errno.EACCES),
     ],
 )
-def test_a_file_that_cannot_be_written_is_told_once(
+def test_a_file_that_cannot_be_written_is_logged_once(
     step, number, folder: Path, monkeypatch, caplog
 ) -> None:
     caplog.clear()

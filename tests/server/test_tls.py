@@ -75,16 +75,16 @@ def test_the_suites_that_must_be_there_are(
 ) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
     security = pki.security(certificates.server(**keys))
-    told = context(pki, certificates.client(**keys), VERSIONS[version], ciphers)
+    context_ = context(pki, certificates.client(**keys), VERSIONS[version], ciphers)
     with (
         serving(pki, security=security) as (server, port),
-        TlsClient(port, told, stage=stage).handshake() as client,
+        TlsClient(port, context_, stage=stage).handshake() as client,
     ):
         assert client.is_answered()
         assert client.tls.version() == f"TLSv{version}"
-        found = client.tls.cipher()
-        assert found is not None
-        assert found[0] == negotiated
+        cipher = client.tls.cipher()
+        assert cipher is not None
+        assert cipher[0] == negotiated
         assert client.tls.compression() is None
         assert server.statistics.handshakes == 1
 
@@ -104,10 +104,10 @@ def test_the_suites_that_must_be_there_are(
 def test_suites_that_are_weak_are_refused(stage: Stage, pki: Pki, key: str, ciphers: str) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
     security = pki.security(certificates.server(**keys))
-    told = context(pki, certificates.client(**keys), VERSIONS["1.2"], f"{ciphers}:@SECLEVEL=0")
+    context_ = context(pki, certificates.client(**keys), VERSIONS["1.2"], f"{ciphers}:@SECLEVEL=0")
     with (
         serving(pki, security=security) as (server, port),
-        TlsClient(port, told, stage=stage) as client,
+        TlsClient(port, context_, stage=stage) as client,
     ):
         with pytest.raises(ssl.SSLError, match="HANDSHAKE_FAILURE"):
             client.handshake()
@@ -117,9 +117,9 @@ def test_suites_that_are_weak_are_refused(stage: Stage, pki: Pki, key: str, ciph
 
 @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1, ssl.TLSVersion.TLSv1_1])
 def test_older_versions_are_refused(stage: Stage, pki: Pki, served: tuple[Server, int], version):
-    told = context(pki, certificates.client(), version, "ALL:@SECLEVEL=0")
+    context_ = context(pki, certificates.client(), version, "ALL:@SECLEVEL=0")
     with (
-        TlsClient(served[1], told, stage=stage) as client,
+        TlsClient(served[1], context_, stage=stage) as client,
         pytest.raises(ssl.SSLError, match="PROTOCOL_VERSION"),  # R-01, R-34
     ):
         client.handshake()
@@ -132,9 +132,9 @@ def tampered() -> Identity:
     class Tampered(Identity):
         @property
         def pem(self) -> bytes:
-            changed = self.der.replace(encode_role("Operator"), encode_role("Director"))
-            assert changed != self.der
-            return ssl.DER_cert_to_PEM_cert(changed).encode()
+            der = self.der.replace(encode_role("Operator"), encode_role("Director"))
+            assert der != self.der
+            return ssl.DER_cert_to_PEM_cert(der).encode()
 
     good = certificates.client()
     return Tampered(good.certificate, good.key)
@@ -187,7 +187,7 @@ BAD: dict[str, tuple[Callable[[], Identity | None], str, str | None]] = {
 
 @VERSION
 @pytest.mark.parametrize("who", BAD)
-def test_nobody_gets_in_with_a_bad_certificate(
+def test_a_bad_certificate_is_refused(
     stage: Stage,
     pki: Pki,
     served: tuple[Server, int],
@@ -197,14 +197,14 @@ def test_nobody_gets_in_with_a_bad_certificate(
     who: str,
     version: ssl.TLSVersion,
 ) -> None:
-    make_identity, logged, alert = BAD[who]
+    make_identity, reasons, alert = BAD[who]
     server, port = served
     identity = make_identity()
-    told = context(pki, identity, version)
+    context_ = context(pki, identity, version)
     peers = []
     with caplog.at_level(logging.INFO):
         for _ in range(2):  # neither at first, nor with the session of the first time (R-11)
-            with TlsClient(port, told, session=None, stage=stage) as client:
+            with TlsClient(port, context_, session=None, stage=stage) as client:
                 peers.append(":".join(map(str, client.socket.getsockname())))
                 if alert is None:
                     client.handshake()
@@ -224,22 +224,22 @@ def test_nobody_gets_in_with_a_bad_certificate(
     for peer, record in zip(peers, loud, strict=True):
         assert record.getMessage().startswith(f"{peer}: ")
     message = loud[-1].getMessage()
-    assert any(each in message for each in logged.split("|")), message
+    assert any(each in message for each in reasons.split("|")), message
     assert [(each.event, whose(each)) for each in events] == [("handshake", named(identity))] * 2
-    assert any(each in events[-1].result for each in logged.split("|"))
+    assert any(each in events[-1].result for each in reasons.split("|"))
     if alert is None:  # OpenSSL keeps to itself whose it was that it refused
         assert message.endswith(f"SHA-256 {digest(identity)}")
 
 
 @VERSION
-def test_a_session_of_one_that_was_refused_is_refused(
+def test_a_session_of_a_refused_client_is_refused(
     stage: Stage, pki: Pki, served: tuple[Server, int], version: ssl.TLSVersion
 ) -> None:
     """Its role is read when OpenSSL has given the ticket away."""
-    told = context(pki, BAD["two roles"][0](), version)
+    context_ = context(pki, BAD["two roles"][0](), version)
     session = None
     for _ in range(3):
-        with TlsClient(served[1], told, session, stage=stage) as client:
+        with TlsClient(served[1], context_, session, stage=stage) as client:
             client.handshake()
             assert client.ask(ONE, 1) == b""
             session = client.tls.session
@@ -274,9 +274,9 @@ def test_without_cryptography_only_roles_are_refused(pki: Pki) -> None:
             assert client.is_answered()
         with TlsClient(port, context(pki, certificates.client("Chief"))).handshake() as client:
             assert client.ask(ONE, 1) == b""
-        logged, _ = process.communicate(timeout=PATIENCE)
+        output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
-    assert how_to_add("security") in logged
+    assert how_to_add("security") in output
 
 
 @pytest.mark.parametrize("how", ["one", "several", "with a hash"])
@@ -309,7 +309,7 @@ def digest(identity: Identity | None) -> str:
     return hashlib.sha256(identity.der).hexdigest()
 
 
-def test_what_a_pinned_one_has_signed_is_not_pinned(stage: Stage, pki: Pki, caplog) -> None:
+def test_certificates_signed_by_a_pinned_one_are_refused(stage: Stage, pki: Pki, caplog) -> None:
     """OpenSSL takes it, for the pinned one is what it trusts."""
     security = pki.server(pin=pki.authority(certificates.authority()))
     with caplog.at_level(logging.INFO), talking(stage, pki, security=security) as (server, client):
@@ -318,30 +318,30 @@ def test_what_a_pinned_one_has_signed_is_not_pinned(stage: Stage, pki: Pki, capl
     assert "none of the pins" in caplog.text
 
 
-def test_a_pinned_one_must_be_good_for_clients(stage: Stage, pki: Pki) -> None:
+def test_a_pinned_certificate_must_be_for_clients(stage: Stage, pki: Pki) -> None:
     """OpenSSL looks at the extended key usage, and cannot be told not to."""
     mine = certificates.server_only()
     security = pki.server(pin=pki.files(mine).cert)
     with serving(pki, security=security) as (_, port):
-        told = context(pki, mine)
+        context_ = context(pki, mine)
         with (
-            TlsClient(port, told, stage=stage) as client,
+            TlsClient(port, context_, stage=stage) as client,
             pytest.raises(ssl.SSLError, match="UNSUPPORTED"),
         ):
             client.handshake().ask(ONE, 1)
 
 
 @VERSION
-def test_a_pinned_one_may_be_old_also_when_it_resumes(
+def test_a_pinned_certificate_may_be_expired(
     stage: Stage, pki: Pki, version: ssl.TLSVersion
 ) -> None:
     mine = certificates.self_signed(**certificates.expired())
-    told = context(pki, mine, version)
+    context_ = context(pki, mine, version)
     security = pki.server(pin=pki.files(mine).cert)
     session = None
     with serving(pki, security=security) as (server, port):
         for _ in range(2):
-            with TlsClient(port, told, session, stage=stage).handshake() as client:
+            with TlsClient(port, context_, session, stage=stage).handshake() as client:
                 assert client.is_answered()
                 session = client.tls.session
         assert server.statistics.handshakes_resumed == 1
@@ -352,12 +352,12 @@ def test_a_session_that_is_resumed_keeps_its_role(
     stage: Stage, pki: Pki, served: tuple[Server, int], roles: list[str | None], how: str
 ) -> None:
     server, port = served
-    told = context(pki, certificates.client("Chief"), VERSIONS[how[:3]])
+    context_ = context(pki, certificates.client("Chief"), VERSIONS[how[:3]])
     if how.endswith("tickets"):
-        told.options |= ssl.OP_NO_TICKET
+        context_.options |= ssl.OP_NO_TICKET
     session = None
     for turn in range(3):  # R-42, R-43
-        with TlsClient(port, told, session, stage=stage).handshake() as client:
+        with TlsClient(port, context_, session, stage=stage).handshake() as client:
             assert client.is_answered()
             assert client.tls.session_reused == (turn > 0)
             session = client.tls.session
@@ -373,13 +373,13 @@ def test_a_certificate_that_expired_meanwhile_resumes_nothing(
     server, port = served
     end = datetime.now(UTC) + timedelta(hours=1)
     identity = certificates.client(begin=end - timedelta(hours=2), days=1 / 12)
-    told = context(pki, identity, version)
-    with TlsClient(port, told, stage=stage).handshake() as client:
+    context_ = context(pki, identity, version)
+    with TlsClient(port, context_, stage=stage).handshake() as client:
         assert client.is_answered()
         session = client.tls.session
     later = SimpleNamespace(time=lambda: end.timestamp() + 1)
     monkeypatch.setattr("libmodbus_py.security.tunnel.time", later)
-    with caplog.at_level(logging.INFO), TlsClient(port, told, session, stage=stage) as client:
+    with caplog.at_level(logging.INFO), TlsClient(port, context_, session, stage=stage) as client:
         client.handshake()
         assert client.tls.session_reused
         assert client.ask(ONE, 1) == b""

@@ -80,13 +80,13 @@ GARBAGE: dict[str, Callable[[], bytes]] = {
 
 @pytest.mark.parametrize("what", GARBAGE)
 @pytest.mark.parametrize("behind", ["at once", "behind a hello"])
-def test_what_is_no_tls_ends_the_connection(stage: Stage, pki: Pki, what, behind, caplog) -> None:
-    sent = (hello(pki) if behind != "at once" else b"") + GARBAGE[what]()
+def test_other_bytes_end_the_connection(stage: Stage, pki: Pki, what, behind, caplog) -> None:
+    data = (hello(pki) if behind != "at once" else b"") + GARBAGE[what]()
     limits = Limits(handshake_timeout=1)
     with nothing_loud(caplog), serving(pki, limits=limits) as (server, port):
         with stage.talk(port) as hostile:
             with contextlib.suppress(OSError):
-                hostile.sendall(sent)
+                hostile.sendall(data)
                 hostile.shutdown(socket.SHUT_WR)
             closed(hostile)
         statistics = server.statistics
@@ -119,13 +119,13 @@ def test_resets_at_any_time_leave_nothing(pki: Pki, caplog: pytest.LogCaptureFix
         is_served(pki, port)
         assert wait_until(lambda: server.statistics.connections == 0)
         before = descriptors()
-        for sent in (b"", first[:100], first, first + first):
+        for data in (b"", first[:100], first, first + first):
             for _ in range(30):
                 hostile = connect(port)
-                hostile.sendall(sent)
+                hostile.sendall(data)
                 reset(hostile)
-        for told in contexts * 20:
-            client = TlsClient(port, told).handshake()
+        for context_ in contexts * 20:
+            client = TlsClient(port, context_).handshake()
             client.send(ONE * 100)
             reset(client.socket)
         assert wait_until(lambda: server.statistics.connections == 0)
@@ -176,7 +176,7 @@ def test_what_is_no_record_ends_the_connection_but_no_other(
         assert innocent.is_answered()
 
 
-def test_who_is_cut_off_for_a_bad_record_gets_an_alert(stage: Stage, pki: Pki) -> None:
+def test_a_bad_record_is_answered_by_an_alert(stage: Stage, pki: Pki) -> None:
     with talking(stage, pki) as (server, client):
         client.socket.sendall(flipped(client.encrypt(ONE)))
         with pytest.raises(ssl.SSLError, match="BAD_RECORD_MAC"):
@@ -186,9 +186,9 @@ def test_who_is_cut_off_for_a_bad_record_gets_an_alert(stage: Stage, pki: Pki) -
 
 def _has_read(process: subprocess.Popen[bytes]) -> bool:
     """Return True if a process has read what was written to it, or has ended."""
-    waiting = array.array("i", [0])
-    fcntl.ioctl(process.stdin, termios.FIONREAD, waiting)
-    return not waiting[0] or process.poll() is not None
+    size = array.array("i", [0])
+    fcntl.ioctl(process.stdin, termios.FIONREAD, size)
+    return not size[0] or process.poll() is not None
 
 
 @pytest.mark.parametrize("command", ["R", "K", "k"])
@@ -221,17 +221,17 @@ def test_openssl_may_not_negotiate_again_but_change_its_keys(pki: Pki, command: 
             if not is_negotiation:
                 process.stdin.write(ONE)  # no line that it takes for a command
                 assert wait_until(lambda: server.statistics.requests == 1)
-            said, awaited = b"", b"no renegotiation" if is_negotiation else ONE_ANSWER
-            while awaited not in said and (piece := process.stdout.read(4096)):
-                said += piece
+            output, end = b"", b"no renegotiation" if is_negotiation else ONE_ANSWER
+            while end not in output and (piece := process.stdout.read(4096)):
+                output += piece
             process.kill()
         if is_negotiation:
-            assert b"Secure Renegotiation IS supported" in said  # R-60
-            assert b"RENEGOTIATING" in said
-            assert b"no renegotiation" in said
+            assert b"Secure Renegotiation IS supported" in output  # R-60
+            assert b"RENEGOTIATING" in output
+            assert b"no renegotiation" in output
         else:
-            assert ONE_ANSWER in said
-            assert b"KEYUPDATE" in said
+            assert ONE_ANSWER in output
+            assert b"KEYUPDATE" in output
         assert server.statistics.handshakes == 1
         assert wait_until(lambda: server.statistics.connections == 0)
         assert is_served(pki, port)
@@ -250,7 +250,7 @@ def test_a_fatal_alert_in_the_middle_of_a_session_ends_it(stage: Stage, pki: Pki
         assert server.statistics.closed_out_of_step == 1
 
 
-def test_what_comes_and_goes_leaves_no_memory(pki: Pki) -> None:
+def test_closed_connections_leave_no_memory(pki: Pki) -> None:
     """Sessions that ended well, badly, early, and those that were refused."""
     good = context(pki, certificates.client())
     bad = context(pki, certificates.client(issuer=certificates.foreign_authority()))
@@ -286,24 +286,24 @@ def test_what_comes_and_goes_leaves_no_memory(pki: Pki) -> None:
 
 def test_a_server_that_ends_leaves_no_handshake(pki: Pki, caplog: pytest.LogCaptureFixture) -> None:
     first = hello(pki)
-    told = context(pki, certificates.client())
+    context_ = context(pki, certificates.client())
     before = descriptors()
     with nothing_loud(caplog):
         for pause in (0.0, 0.002, 0.01, 0.05):
             with contextlib.ExitStack() as stack:
                 with serving(pki) as (server, port):
-                    clients = [stack.enter_context(TlsClient(port, told)) for _ in range(3)]
+                    clients = [stack.enter_context(TlsClient(port, context_)) for _ in range(3)]
                     for client in clients:
                         client.handshake()
                     # The client's end of TLS 1.3 is through before the server's.
                     assert wait_until(lambda: server.statistics.handshakes == 3)
                     for client in clients:
                         client.send(ONE)
-                    waiting = [stack.enter_context(connect(port)) for _ in range(60)]
-                    for each in waiting:
+                    sockets = [stack.enter_context(connect(port)) for _ in range(60)]
+                    for each in sockets:
                         each.sendall(first)
                     time.sleep(pause)
-                for each in waiting:
+                for each in sockets:
                     closed(each)
                 for client in clients:
                     while client.read():
@@ -315,7 +315,7 @@ def test_a_server_that_ends_leaves_no_handshake(pki: Pki, caplog: pytest.LogCapt
 @pytest.mark.filterwarnings("ignore:record_property is incompatible")
 def test_a_thousand_connections_have_room(pki: Pki, what, record_property) -> None:
     url = pki.url("tls://127.0.0.1:0", certificates.server())
-    told, first = context(pki, certificates.client()), hello(pki)
+    context_, first = context(pki, certificates.client()), hello(pki)
     count, some = 200, 20
     # All of them within the time that a handshake may take.
     with ServerProcess(url=url) as server, contextlib.ExitStack() as stack:
@@ -323,7 +323,7 @@ def test_a_thousand_connections_have_room(pki: Pki, what, record_property) -> No
         def add(number: int) -> None:
             for _ in range(number):
                 if what == "idle":
-                    stack.enter_context(TlsClient(server.port, told)).handshake()
+                    stack.enter_context(TlsClient(server.port, context_)).handshake()
                 else:
                     each = stack.enter_context(connect(server.port))
                     each.sendall(first)

@@ -29,7 +29,7 @@ from tests.support.tls import (
 def test_a_handshake_must_end_in_time(stage: Stage, pki: Pki, how, caplog) -> None:
     first, limits = hello(pki), Limits(handshake_timeout=100)
     with nothing_loud(caplog), serving(pki, limits=limits) as (server, port):
-        begun = stage.now
+        start = stage.now
         slow = stage.talk(port)
         if how == "greets only":
             slow.sendall(first)
@@ -40,7 +40,7 @@ def test_a_handshake_must_end_in_time(stage: Stage, pki: Pki, how, caplog) -> No
                 if slow.has_input():
                     break
         closed(slow)
-        assert stage.now - begun == pytest.approx(100, abs=0.6)
+        assert stage.now - start == pytest.approx(100, abs=0.6)
         assert stage.until(lambda: server.statistics.connections == 0)
         assert server.statistics.closed_slow == 1
         assert server.statistics.handshakes_refused == 0
@@ -51,10 +51,10 @@ def test_a_handshake_must_end_in_time(stage: Stage, pki: Pki, how, caplog) -> No
 def test_a_slow_handshake_is_not_hurried(stage: Stage, pki: Pki, version: ssl.TLSVersion) -> None:
     """The time of a frame begins when the handshake is over."""
     limits = Limits(handshake_timeout=1000, frame_timeout=0.2)
-    told = context(pki, certificates.client(), version)
+    context_ = context(pki, certificates.client(), version)
     with (
         serving(pki, limits=limits) as (server, port),
-        TlsClient(port, told, stage=stage) as client,
+        TlsClient(port, context_, stage=stage) as client,
     ):
         first = client.hello()
         for start in range(0, len(first), 40):
@@ -65,24 +65,24 @@ def test_a_slow_handshake_is_not_hurried(stage: Stage, pki: Pki, version: ssl.TL
         assert server.statistics.closed_slow == 0
 
 
-def test_the_oldest_half_open_one_makes_room(stage: Stage, pki: Pki, monkeypatch) -> None:
+def test_the_oldest_half_open_connection_makes_room(stage: Stage, pki: Pki, monkeypatch) -> None:
     monkeypatch.setattr(server_tls, "HALF_OPEN", 5)
     first = hello(pki)
     with serving(pki) as (server, port), contextlib.ExitStack() as stack:
-        waiting = []
+        clients = []
         for _ in range(8):
-            waiting.append(stack.enter_context(stage.talk(port)))
-            waiting[-1].sendall(first)
-            assert waiting[-1].recv(100)  # in their order
-        assert [bool(still_open(each)) for each in waiting] == [False] * 3 + [True] * 5
+            clients.append(stack.enter_context(stage.talk(port)))
+            clients[-1].sendall(first)
+            assert clients[-1].recv(100)  # in their order
+        assert [bool(still_open(each)) for each in clients] == [False] * 3 + [True] * 5
         assert server.statistics.closed_for_others == 3
         # Connected is not half open: it has no state of TLS.
         silent = [stack.enter_context(stage.talk(port)) for _ in range(8)]
-        assert all(map(still_open, silent + waiting[3:]))
+        assert all(map(still_open, silent + clients[3:]))
         # And those that are through do not count.
         assert is_served(pki, port, stage)
-        assert not still_open(waiting[3])
-        assert still_open(waiting[4])
+        assert not still_open(clients[3])
+        assert still_open(clients[4])
 
 
 def still_open(connection: Talker) -> bool:
@@ -123,10 +123,10 @@ def test_an_address_that_has_asked_too_much_does_not_hold_up_the_handshakes_of_o
     stage: Stage, pki: Pki
 ) -> None:
     limits, first = Limits(requests_per_second=1), hello(pki)
-    told = context(pki, certificates.client())
+    context_ = context(pki, certificates.client())
     with (
         serving(pki, limits=limits) as (server, port),
-        TlsClient(port, told, source="127.0.0.2", stage=stage).handshake() as greedy,
+        TlsClient(port, context_, source="127.0.0.2", stage=stage).handshake() as greedy,
         contextlib.ExitStack() as stack,
     ):
         others = [stack.enter_context(stage.talk(port, source="127.0.0.2")) for _ in range(60)]
@@ -135,6 +135,6 @@ def test_an_address_that_has_asked_too_much_does_not_hold_up_the_handshakes_of_o
         # While they wait for their turns, it gets to owe some seconds.
         greedy.send(ONE * 200)
         assert stage.until(lambda: server.statistics.requests > 15, 3)
-        begun = stage.now
+        start = stage.now
         assert is_served(pki, port, stage)
-        assert stage.now - begun < 0.1
+        assert stage.now - start < 0.1

@@ -60,20 +60,20 @@ def answers(count: int) -> bytes:
 def test_records_may_cut_requests_anywhere(
     stage: Stage, pki: Pki, way: dict[str, Any], cut: str, version: ssl.TLSVersion
 ) -> None:
-    sent = requests(50)
+    data = requests(50)
     with talking(stage, pki, version=version, **way) as (server, client):
         if cut == "a record":
-            client.send(sent)
+            client.send(data)
         elif cut == "a byte in a record":
-            client.send(*(bytes([byte]) for byte in sent))
+            client.send(*(bytes([byte]) for byte in data))
         elif cut == "a record in bytes":
-            for byte in client.encrypt(sent):
+            for byte in client.encrypt(data):
                 client.socket.send(bytes([byte]))
         else:
             end = 7 if cut == "two records" else 18
-            client.send(sent[:end])
+            client.send(data[:end])
             stage.pass_time(1)
-            client.send(sent[end:])
+            client.send(data[end:])
         assert client.receive(len(answers(50))) == answers(50)
         assert server.statistics.requests == 50
 
@@ -86,7 +86,7 @@ def test_records_read_together_are_carried_out_in_order(
     """The first holds one request and nothing else; what follows does not overtake it."""
     pdus = ("06 0000 0005", "03 0000 0001", "06 0000 0006", "03 0000 0001")
     answers = ("06 0000 0005", "03 02 0005", "06 0000 0006", "03 02 0006")
-    requests, expected = (
+    requests, response = (
         b"".join(adu(bytes.fromhex(pdu), number) for number, pdu in enumerate(each))
         for each in (pdus, answers)
     )
@@ -95,7 +95,7 @@ def test_records_read_together_are_carried_out_in_order(
     limits = Limits(requests_per_second=rate)
     with talking(stage, pki, **way, limits=limits) as (server, client):
         client.send(*pieces)
-        assert client.receive(len(expected)) == expected
+        assert client.receive(len(response)) == response
         assert server.statistics.requests == 4
 
 
@@ -129,8 +129,8 @@ def test_a_record_full_of_requests_is_answered_in_slices(stage: Stage, pki: Pki)
 def test_requests_in_the_last_flight_of_the_handshake_are_answered(
     stage: Stage, pki: Pki, version: ssl.TLSVersion
 ) -> None:
-    told = context(pki, certificates.client(), version)
-    with serving(pki) as (_, port), TlsClient(port, told, stage=stage) as client:
+    context_ = context(pki, certificates.client(), version)
+    with serving(pki) as (_, port), TlsClient(port, context_, stage=stage) as client:
         client.socket.sendall(client.hello())
         # The client's own end of the handshake, and 50 requests behind it, in one segment.
         while True:
@@ -146,16 +146,16 @@ def test_requests_in_the_last_flight_of_the_handshake_are_answered(
 
 
 @VERSION
-def test_who_says_goodbye_behind_a_request_gets_the_answer_and_a_goodbye(
+def test_close_notify_behind_a_request_gets_the_answer_and_close_notify(
     stage: Stage, pki: Pki, way: dict[str, Any], version: ssl.TLSVersion
 ) -> None:
     with serving(pki, **way) as (server, port):
         with connected(stage, pki, port, version) as other:
             for count in (1, 2, 1365):
                 with connected(stage, pki, port, version) as client:
-                    sent = client.encrypt(requests(count))
+                    data = client.encrypt(requests(count))
                     # In one segment, if it is short: both are received in one turn.
-                    client.socket.sendall(sent + client.goodbye())
+                    client.socket.sendall(data + client.goodbye())
                     other.send(ONE)
                     received = raw_records(client)
                     assert len(received) > len(answers(count))
@@ -173,7 +173,7 @@ def raw_records(client: TlsClient) -> bytes:
     return data
 
 
-def test_what_comes_behind_a_goodbye_is_not_looked_at(stage: Stage, pki: Pki) -> None:
+def test_records_behind_close_notify_are_ignored(stage: Stage, pki: Pki) -> None:
     with talking(stage, pki) as (server, client):
         late = client.encrypt(ONE)
         client.socket.sendall(client.goodbye() + late * 3)
@@ -188,7 +188,7 @@ def test_answers_that_are_kept_back_come_in_order(stage: Stage, pki: Pki) -> Non
         assert client.receive(len(answers(8))) == answers(8)
 
 
-def test_who_does_not_read_is_not_read_and_gets_all_when_he_does(
+def test_a_client_that_reads_late_gets_every_answer(
     stage: Stage, pki: Pki, way: dict[str, Any]
 ) -> None:
     """A record has 350 kB of answers; two are more than the network in memory carries."""
@@ -237,10 +237,10 @@ def test_a_client_may_ask_for_short_records(pki: Pki, most: int) -> None:
             assert process.stdout is not None
             process.stdin.write(b"".join(adu(READ_MOST, number) for number in range(20)))
             process.stdin.flush()
-            received = process.stdout.read(20 * len(MOST_ANSWER))
+            data = process.stdout.read(20 * len(MOST_ANSWER))
             process.kill()
-        expected = b"".join(struct.pack(">H", number) + MOST_ANSWER[2:] for number in range(20))
-        assert received == expected
+        response = b"".join(struct.pack(">H", number) + MOST_ANSWER[2:] for number in range(20))
+        assert data == response
         sizes = [size for kind, size in records(wire.sent_by("server")) if kind == 23]
     assert len(sizes) >= 20 * len(MOST_ANSWER) // most
     # 8 bytes of nonce and 16 of tag.
@@ -273,7 +273,7 @@ ENDS: dict[str, tuple[Callable[[TlsClient], object], float, str]] = {
 
 @VERSION
 @pytest.mark.parametrize("what", ENDS)
-def test_whom_the_server_closes_gets_a_goodbye(
+def test_a_client_that_is_closed_gets_close_notify(
     stage: Stage, pki: Pki, what: str, version: ssl.TLSVersion
 ) -> None:
     act, seconds, counter = ENDS[what]
@@ -281,17 +281,17 @@ def test_whom_the_server_closes_gets_a_goodbye(
     faults = {None: [Fault("disconnect", function=7)]} if what == "a fault" else None
     with talking(stage, pki, version=version, limits=limits, faults=faults) as (server, client):
         assert client.is_answered()
-        begun = stage.now
+        start = stage.now
         act(client)
         assert client.read() == b""
-        assert seconds <= stage.now - begun <= seconds + 1.01
+        assert seconds <= stage.now - start <= seconds + 1.01
         statistics = asdict(server.statistics)
-        closed = {name: count for name, count in statistics.items() if name.startswith("closed")}
-        assert closed == {name: int(name == counter) for name in closed}
+        counts = {name: count for name, count in statistics.items() if name.startswith("closed")}
+        assert counts == {name: int(name == counter) for name in counts}
 
 
 @VERSION
-def test_the_server_says_goodbye_when_it_ends(stage: Stage, pki: Pki, version: ssl.TLSVersion):
+def test_a_server_that_ends_sends_close_notify(stage: Stage, pki: Pki, version: ssl.TLSVersion):
     with serving(pki) as (_, port):
         client = connected(stage, pki, port, version)
         assert client.is_answered()

@@ -49,19 +49,19 @@ def made_device(**options: Any) -> Device:
 
 @contextmanager
 def connected(
-    told: Callable[[Traced], object] | None, url: str = "tcp://127.0.0.1:0", **options: Any
+    trace: Callable[[Traced], object] | None, url: str = "tcp://127.0.0.1:0", **options: Any
 ) -> Iterator[tuple[socket.socket, str]]:
     """A server of unit 17, a connection to it, and its URL."""
     units = options.pop("units", None) or {17: made_device()}
     with (
-        Server(units, trace=told, **options).background(url) as running,
+        Server(units, trace=trace, **options).background(url) as running,
         connect(running.urls[0]) as one,
     ):
         yield one, running.urls[0]
 
 
-def said(told: list[Traced]) -> list[tuple[str, bytes]]:
-    return [(each.direction, each.adu) for each in told]
+def said(frames: list[Traced]) -> list[tuple[str, bytes]]:
+    return [(each.direction, each.adu) for each in frames]
 
 
 FRAMED: dict[str, Callable[[str], bytes]] = {
@@ -73,61 +73,61 @@ FRAMED: dict[str, Callable[[str], bytes]] = {
 
 
 @pytest.mark.parametrize("scheme", FRAMED)
-def test_what_passes_is_told_as_it_is_on_the_wire(scheme: str) -> None:
-    told: list[Traced] = []
+def test_frames_are_traced_as_they_are_on_the_wire(scheme: str) -> None:
+    frames: list[Traced] = []
     frame = FRAMED[scheme]
     request, answer = frame("11 03 0000 0002"), frame("11 03 04 0007 0008")
-    beyond, refused = frame("11 03 FFFF 0001"), frame("11 83 02")
+    beyond, refusal = frame("11 03 FFFF 0001"), frame("11 83 02")
     before = time.time()
-    with connected(told.append, f"{scheme}://127.0.0.1:0") as (connection, url):
+    with connected(frames.append, f"{scheme}://127.0.0.1:0") as (connection, url):
         here = "{}:{}".format(*connection.getsockname())
         ask(connection, request, answer)
-        ask(connection, beyond, refused)
-        until(lambda: len(told) == 4)
-    assert said(told) == [
+        ask(connection, beyond, refusal)
+        until(lambda: len(frames) == 4)
+    assert said(frames) == [
         ("received", request),
         ("sent", answer),
         ("received", beyond),
-        ("sent", refused),
+        ("sent", refusal),
     ]
-    assert [(each.unit, each.function) for each in told] == [(17, 3)] * 3 + [(17, 0x83)]
-    assert {(each.endpoint, each.peer) for each in told} == {(url, here)}
-    assert all(one.time <= other.time for one, other in pairwise(told))
-    assert before <= told[0].time <= time.time()
+    assert [(each.unit, each.function) for each in frames] == [(17, 3)] * 3 + [(17, 0x83)]
+    assert {(each.endpoint, each.peer) for each in frames} == {(url, here)}
+    assert all(one.time <= other.time for one, other in pairwise(frames))
+    assert before <= frames[0].time <= time.time()
 
 
 @pytest.mark.parametrize("scheme", ["rtu", "ascii"])
 def test_a_serial_port_is_traced_with_its_name(scheme: str) -> None:
-    told: list[Traced] = []
+    frames: list[Traced] = []
     with SerialWire() as wire:
         url = f"{scheme}://{wire.server}?baudrate=115200"
         client = Client(f"{scheme}://{wire.client}?baudrate=115200", unit=17)
-        with Server({17: made_device()}, trace=told.append).background(url), client as plc:
+        with Server({17: made_device()}, trace=frames.append).background(url), client as plc:
             assert plc.read_holding_registers(0, 2) == [7, 8]
-    assert [(each.direction, each.peer) for each in told] == [
+    assert [(each.direction, each.peer) for each in frames] == [
         ("received", wire.server),
         ("sent", wire.server),
     ]
 
 
-def test_of_tls_it_shows_what_is_inside(pki: Pki) -> None:
-    told: list[Traced] = []
-    server = Server({17: made_device()}, trace=told.append)
+def test_a_trace_of_tls_shows_plain_frames(pki: Pki) -> None:
+    frames: list[Traced] = []
+    server = Server({17: made_device()}, trace=frames.append)
     with secured(server, pki) as url, Client(url, unit=17) as plc:
         assert plc.read_holding_registers(0, 2) == [7, 8]
-    assert [each.adu[6:] for each in told] == [READ[6:], ANSWER[6:]]
+    assert [each.adu[6:] for each in frames] == [READ[6:], ANSWER[6:]]
 
 
 @pytest.mark.parametrize("faults", [{}, {17: [Fault("delay", seconds=0.001, every=10**6)]}])
-def test_requests_that_come_together_are_told_one_by_one(faults: dict[int, list[Fault]]) -> None:
-    told: list[Traced] = []
-    with connected(told.append, faults=faults) as (one, url), connect(url) as slow:
+def test_requests_in_one_chunk_are_traced_one_by_one(faults: dict[int, list[Fault]]) -> None:
+    frames: list[Traced] = []
+    with connected(frames.append, faults=faults) as (one, url), connect(url) as slow:
         ask(one, READ * 40, ANSWER * 40)
         for at in range(len(READ)):
             slow.sendall(READ[at : at + 1])
             time.sleep(0.001)
         ask(slow, b"", ANSWER)
-    assert sorted(said(told)) == sorted([("received", READ), ("sent", ANSWER)] * 41)
+    assert sorted(said(frames)) == sorted([("received", READ), ("sent", ANSWER)] * 41)
 
 
 GARBAGE = b"\xff\xff"
@@ -147,28 +147,28 @@ SPOILT = [
 
 
 @each_case(("fault", "spoilt"), SPOILT)
-def test_a_spoilt_answer_is_told_as_it_went_out_and_the_next_one_whole(fault, spoilt) -> None:
-    told: list[Traced] = []
-    with connected(told.append, faults={17: [fault]}) as (one, _):
+def test_a_spoilt_answer_is_traced_as_sent_and_the_next_one_whole(fault, spoilt) -> None:
+    frames: list[Traced] = []
+    with connected(frames.append, faults={17: [fault]}) as (one, _):
         ask(one, READ, ANSWER)
         ask(one, READ, b"".join(adu for adu, _ in spoilt))
         ask(one, READ, ANSWER)
-    sent = [(each.adu, each.unit) for each in told if each.direction == "sent"]
-    assert sent == [(ANSWER, 17), *spoilt, (ANSWER, 17)]
-    assert told[-1].function == 3
+    answers = [(each.adu, each.unit) for each in frames if each.direction == "sent"]
+    assert answers == [(ANSWER, 17), *spoilt, (ANSWER, 17)]
+    assert frames[-1].function == 3
 
 
-def test_an_answer_that_is_kept_back_is_told_when_it_is_sent(stage: Stage) -> None:
-    told: list[Traced] = []
+def test_a_delayed_answer_is_traced_when_it_is_sent(stage: Stage) -> None:
+    frames: list[Traced] = []
     server = Server(
-        {17: made_device()}, faults={17: [Fault("delay", seconds=10)]}, trace=told.append
+        {17: made_device()}, faults={17: [Fault("delay", seconds=10)]}, trace=frames.append
     )
     with server.background("tcp://10.0.0.1:0") as running, stage.talk(running.urls[0]) as talker:
         talker.send(READ + READ)
         stage.pass_time(5)
-        assert [each.direction for each in told] == ["received"] * 2
+        assert [each.direction for each in frames] == ["received"] * 2
         stage.pass_time(10)
-        assert [each.direction for each in told] == ["received"] * 2 + ["sent"]
+        assert [each.direction for each in frames] == ["received"] * 2 + ["sent"]
 
 
 @pytest.mark.parametrize(
@@ -182,47 +182,47 @@ def test_an_answer_that_is_kept_back_is_told_when_it_is_sent(stage: Stage) -> No
         ("ascii+tcp", b":11030000ZZ\r\n"),
     ],
 )
-def test_what_is_no_frame_is_told_too(scheme: str, noise: bytes) -> None:
-    told: list[Traced] = []
-    with connected(told.append, f"{scheme}://127.0.0.1:0") as (connection, _):
+def test_bytes_that_are_no_frame_are_traced(scheme: str, noise: bytes) -> None:
+    frames: list[Traced] = []
+    with connected(frames.append, f"{scheme}://127.0.0.1:0") as (connection, _):
         connection.sendall(noise)
         if scheme != "udp":
             connection.shutdown(socket.SHUT_WR)
-        until(lambda: told)
-    assert [(each.adu, each.unit, each.function) for each in told] == [(noise, None, None)]
+        until(lambda: frames)
+    assert [(each.adu, each.unit, each.function) for each in frames] == [(noise, None, None)]
 
 
 def test_silence_ends_what_began_on_a_line() -> None:
-    told: list[Traced] = []
-    with connected(told.append, "ascii+tcp://127.0.0.1:0") as (one, _):
+    frames: list[Traced] = []
+    with connected(frames.append, "ascii+tcp://127.0.0.1:0") as (one, _):
         one.sendall(b":1103")
-        until(lambda: told)  # a second
+        until(lambda: frames)  # a second
         ask(one, ascii_frame("11 03 0000 0002"), ascii_frame("11 03 04 0007 0008"))
-    assert said(told)[0] == ("received", b":1103")
-    assert len(told) == 3
+    assert said(frames)[0] == ("received", b":1103")
+    assert len(frames) == 3
 
 
 def test_another_end_of_ascii_frames_is_followed() -> None:
-    told: list[Traced] = []
+    frames: list[Traced] = []
     change, restart = ascii_frame("11 08 0003 3B00"), ascii_frame("11 08 0001 0000")
     read, answer = ascii_frame("11 03 0000 0002"), ascii_frame("11 03 04 0007 0008")
-    with connected(told.append, "ascii+tcp://127.0.0.1:0") as (one, _):
+    with connected(frames.append, "ascii+tcp://127.0.0.1:0") as (one, _):
         ask(one, change, change)
         ask(one, read[:-1] + b";", answer[:-1] + b";")
         ask(one, restart[:-1] + b";", restart[:-1] + b";")
         ask(one, read, answer)
-    assert [each.adu[-1:] for each in told] == [b"\n"] * 2 + [b";"] * 4 + [b"\n"] * 2
-    assert {each.unit for each in told} == {17}
+    assert [each.adu[-1:] for each in frames] == [b"\n"] * 2 + [b";"] * 4 + [b"\n"] * 2
+    assert {each.unit for each in frames} == {17}
 
 
 def test_a_gateway_tells_what_its_clients_say() -> None:
-    told: list[Traced] = []
+    frames: list[Traced] = []
     with Server({5: made_device()}).background("tcp://127.0.0.1:0") as behind:
-        gateway = Gateway([Route(behind.urls[0], "17", 5)], trace=told.append)
+        gateway = Gateway([Route(behind.urls[0], "17", 5)], trace=frames.append)
         with gateway.background("tcp://127.0.0.1:0") as running, connect(running.urls[0]) as one:
             ask(one, READ, ANSWER)
-    assert said(told) == [("received", READ), ("sent", ANSWER)]
-    assert {each.endpoint for each in told} == set(running.urls)
+    assert said(frames) == [("received", READ), ("sent", ANSWER)]
+    assert {each.endpoint for each in frames} == set(running.urls)
 
 
 def test_the_logger_has_the_same(caplog: pytest.LogCaptureFixture) -> None:
@@ -240,7 +240,7 @@ def test_the_logger_has_the_same(caplog: pytest.LogCaptureFixture) -> None:
     ]
 
 
-def test_others_come_and_go() -> None:
+def test_tracing_begins_and_ends_while_the_server_runs() -> None:
     first: list[Traced] = []
     second: list[Traced] = []
     server = Server({17: made_device()})
@@ -260,8 +260,8 @@ def test_others_come_and_go() -> None:
 
 
 @pytest.mark.parametrize("error", [ValueError("mine"), GeneratorExit(), ModbusError("no")])
-def test_one_that_fails_costs_no_answer_and_is_logged_once(error, caplog) -> None:
-    def broken(traced: Traced) -> None:
+def test_a_trace_that_fails_costs_no_answer_and_is_logged_once(error, caplog) -> None:
+    def broken(frame: Traced) -> None:
         raise error
 
     with connected(broken) as (_, url):
@@ -273,9 +273,9 @@ def test_one_that_fails_costs_no_answer_and_is_logged_once(error, caplog) -> Non
 
 @pytest.mark.parametrize("direction", ["received", "sent"])
 @pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
-def test_one_that_ends_the_program_does_after_the_answers(error, direction) -> None:
-    def ending(traced: Traced) -> None:
-        if traced.direction == direction:
+def test_a_trace_that_ends_the_program_does_after_the_answers(error, direction) -> None:
+    def ending(frame: Traced) -> None:
+        if frame.direction == direction:
             raise error("enough")
 
     def run() -> None:
@@ -287,8 +287,8 @@ def test_one_that_ends_the_program_does_after_the_answers(error, direction) -> N
         run()
 
 
-def test_one_that_is_slow_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
-    def slow(traced: Traced) -> None:
+def test_a_slow_trace_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    def slow(frame: Traced) -> None:
         time.sleep(0.11)
 
     with connected(slow) as (one, _):
@@ -297,13 +297,13 @@ def test_one_that_is_slow_is_named_once(caplog: pytest.LogCaptureFixture) -> Non
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
-def test_one_that_closes_the_server_is_obeyed(scheme: str) -> None:
-    closed = threading.Event()
+def test_a_trace_may_close_the_server(scheme: str) -> None:
+    end = threading.Event()
     stack = ExitStack()
 
-    def closing(traced: Traced) -> None:
+    def closing(frame: Traced) -> None:
         stack.close()
-        closed.set()
+        end.set()
 
     background: AbstractContextManager[Any]
     background = Server({17: made_device()}, trace=closing).background(f"{scheme}://127.0.0.1:0")
@@ -313,7 +313,7 @@ def test_one_that_closes_the_server_is_obeyed(scheme: str) -> None:
         while one.recv(100):
             pass
     background.__exit__(None, None, None)  # the server's own thread could not wait for its end
-    assert closed.is_set()
+    assert end.is_set()
 
 
 def test_a_flood_takes_no_memory() -> None:
@@ -325,20 +325,20 @@ def test_a_flood_takes_no_memory() -> None:
         try:
             for _ in range(30):
                 ask(one, READ * 100, ANSWER * 100)
-            kept, _ = tracemalloc.get_traced_memory()
+            size, _ = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
-    assert kept < 100_000
+    assert size < 100_000
 
 
-def test_hooks_and_c_alike_are_told() -> None:
+def test_answers_of_hooks_and_of_c_are_traced() -> None:
     """One unit is answered in C, the other by a hook's way."""
-    told: list[Traced] = []
+    frames: list[Traced] = []
     units = {17: made_device(), 18: made_device(before_read=Hook(lambda access: None))}
-    with connected(told.append, units=units) as (one, _):
+    with connected(frames.append, units=units) as (one, _):
         ask(one, READ, ANSWER)
         ask(one, READ[:6] + b"\x12" + READ[7:], ANSWER[:6] + b"\x12" + ANSWER[7:])
-    assert [each.unit for each in told] == [17, 17, 18, 18]
+    assert [each.unit for each in frames] == [17, 17, 18, 18]
 
 
 HERE = "tcp://127.0.0.1:0"

@@ -104,12 +104,12 @@ def test_too_many_requests_are_dropped_for_one_address_only(stage: Stage) -> Non
         server.connect() as eager,
         server.connect(OTHER) as other,
     ):
-        begun = stage.now
+        start = stage.now
         for transaction in range(200):
             eager.send(adu(READ_ONE, transaction))
         assert stage.until(lambda: server.statistics.requests + server.statistics.throttled == 200)
         # Five are free, and the one that overdraws is answered.
-        assert stage.now - begun < 0.01
+        assert stage.now - start < 0.01
         assert server.statistics.requests == 6
         ask(other, 500)
         answers = [eager.recv(1000) for _ in range(6)]
@@ -250,16 +250,16 @@ def test_a_late_answer_does_not_hold_up_the_others(stage: Stage) -> None:
         server.connect() as other,
     ):
         ask(client, 1)
-        begun = stage.now
+        start = stage.now
         client.send(adu(READ_ONE, 2))
         ask(other, 3)
-        assert stage.now - begun < 0.01
+        assert stage.now - start < 0.01
         assert client.recv(1000) == adu(ANSWER_ONE, 2)
-        assert stage.now - begun == pytest.approx(300, abs=0.01)
+        assert stage.now - start == pytest.approx(300, abs=0.01)
 
 
 @pytest.mark.parametrize(
-    ("fault", "expected"),
+    ("fault", "response"),
     [
         (Fault("exception", code=6), adu(b"\x83\x06", 7)),
         (Fault("wrong_transaction"), adu(ANSWER_ONE, 6)),
@@ -269,11 +269,11 @@ def test_a_late_answer_does_not_hold_up_the_others(stage: Stage) -> None:
     ],
     ids=lambda value: value.kind if isinstance(value, Fault) else "",
 )
-def test_wrong_answers(stage: Stage, fault: Fault, expected: bytes) -> None:
+def test_faults_change_answers_to_datagrams(stage: Stage, fault: Fault, response: bytes) -> None:
     faults = {None: [fault]}
     with served(stage, scheme="udp", faults=faults) as server, server.connect() as client:
         for _ in range(3):
-            assert answer(client, READ_ONE, 7) == expected
+            assert answer(client, READ_ONE, 7) == response
 
 
 def test_an_answer_still_kept_back_does_not_keep_the_server(stage: Stage) -> None:
@@ -281,8 +281,8 @@ def test_an_answer_still_kept_back_does_not_keep_the_server(stage: Stage) -> Non
     with served(stage, scheme="udp", faults=faults) as server, server.connect() as client:
         client.send(adu(READ_MOST))
         assert server.counts(requests=1)
-        begun = stage.now
-    assert stage.now - begun < 0.01
+        start = stage.now
+    assert stage.now - start < 0.01
 
 
 def test_no_more_than_so_many_answers_are_kept_back(stage: Stage, monkeypatch) -> None:
@@ -333,11 +333,11 @@ NO_MBAP = [
 
 def damaged(scheme: str) -> Iterator[bytes]:
     """Yield what is not a frame: each frame up to each of its bytes, and with a wrong check."""
-    made = DATAGRAMS[scheme]
+    encode = DATAGRAMS[scheme]
     if scheme == "udp":
         yield from NO_MBAP
     for body in BODIES + ANSWERS:
-        frame = made(body)
+        frame = encode(body)
         yield from (frame[:size] for size in range(1, len(frame)))
         if "+" in scheme:
             yield frame[:-3] + bytes([frame[-3] ^ 1]) + frame[-2:]
@@ -351,7 +351,7 @@ def damaged(scheme: str) -> Iterator[bytes]:
 )
 @pytest.mark.parametrize("scheme", DATAGRAMS)
 def test_a_datagram_that_is_no_frame_is_counted_once(stage: Stage, scheme, settings) -> None:
-    url, made = f"{scheme}://10.0.0.1:1502", DATAGRAMS[scheme]
+    url, encode = f"{scheme}://10.0.0.1:1502", DATAGRAMS[scheme]
     with unit_one(url, **settings) as (server, _), stage.talk(url) as client:
         statistics = server.statistics
         for count, datagram in enumerate(damaged(scheme), 1):
@@ -360,7 +360,7 @@ def test_a_datagram_that_is_no_frame_is_counted_once(stage: Stage, scheme, setti
             assert statistics.bad_frames == count, datagram
         client.send(b"")  # is nothing
         assert statistics.requests == 0
-        client.sendall(made("01 03 0000 0001"))
+        client.sendall(encode("01 03 0000 0001"))
         stage.pass_time(1)
-        assert client.recv(300) == made("01 03 02 0000")
+        assert client.recv(300) == encode("01 03 02 0000")
         assert statistics.bad_frames == count

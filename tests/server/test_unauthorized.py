@@ -29,11 +29,11 @@ def guarded(authorize: Any) -> Device:
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_nothing_is_executed(transport: str) -> None:
-    seen: list[Asked] = []
+def test_unauthorized_requests_are_not_executed(transport: str) -> None:
+    requests: list[Asked] = []
 
     def authorize(asked: Asked) -> bool:
-        seen.append(asked)
+        requests.append(asked)
         return False
 
     device = guarded(authorize)
@@ -42,49 +42,49 @@ def test_nothing_is_executed(transport: str) -> None:
         for request in REQUEST_OBJECTS:
             with pytest.raises(IllegalFunction):
                 plc.execute(request)
-    assert [asked.function for asked in seen] == [each.function for each in REQUEST_OBJECTS]
+    assert [asked.function for asked in requests] == [each.function for each in REQUEST_OBJECTS]
     role = "Operator" if transport == "tls" else None
-    assert {(asked.unit, asked.role) for asked in seen} == {(17, role)}
-    assert all(asked.peer for asked in seen)
-    assert server.statistics.unauthorized == server.statistics.refused == len(seen)
+    assert {(asked.unit, asked.role) for asked in requests} == {(17, role)}
+    assert all(asked.peer for asked in requests)
+    assert server.statistics.unauthorized == server.statistics.refused == len(requests)
     assert not any(device.mapping.holding_registers)
     assert not any(device.mapping.coils)
 
 
 @pytest.mark.parametrize("many", [1, 8])
-def test_neither_alone_nor_in_a_chunk(many: int) -> None:
+def test_unauthorized_requests_are_refused_alone_and_in_chunks(many: int) -> None:
     """The server answers chunks, and what comes alone, in C where it can."""
-    asked = [(number, pdu) for number, pdu in enumerate(examples("pdu")) if pdu[0] < 0x80]
+    numbered = [(number, pdu) for number, pdu in enumerate(examples("pdu")) if pdu[0] < 0x80]
     # Between requests to a device that C answers.
     other, other_answer = adu(READ_ONE, 0x99, 2), adu(ANSWER_ONE, 0x99, 2)
-    plain, closed = Device(Mapping(65536, 65536, 65536, 65536)), guarded(lambda asked: False)
-    server = Server({1: closed, 2: plain})
+    plain, guarded_ = Device(Mapping(65536, 65536, 65536, 65536)), guarded(lambda asked: False)
+    server = Server({1: guarded_, 2: plain})
     with server.background("tcp://127.0.0.1:0") as running, ExitStack() as stack:
         peers = [stack.enter_context(connect(running.urls[0])) for _ in range(3)]
-        for at in range(0, len(asked), many):
-            chunk = asked[at : at + many]
+        for at in range(0, len(numbered), many):
+            chunk = numbered[at : at + many]
             requests = [adu(pdu, number, 1) for number, pdu in chunk]
             refusals = [adu(bytes([pdu[0] | 0x80, 1]), number, 1) for number, pdu in chunk]
-            expected = b"".join([other_answer, *refusals, other_answer])
+            answers = b"".join([other_answer, *refusals, other_answer])
             for peer in peers:
                 peer.sendall(b"".join([other, *requests, other]))
             for peer in peers:
-                assert receive(peer, len(expected)) == expected
-    assert server.statistics.unauthorized == 3 * len(asked)
-    assert not any(closed.mapping.holding_registers)
+                assert receive(peer, len(answers)) == answers
+    assert server.statistics.unauthorized == 3 * len(numbered)
+    assert not any(guarded_.mapping.holding_registers)
 
 
 def test_faults_refuse_without_asking() -> None:
     """A fault answers instead of the device: nothing is done, so nothing needs to be allowed."""
-    seen: list[Asked] = []
-    server = Server({1: guarded(seen.append)}, faults={1: [Fault("exception", code=6)]})
+    requests: list[Asked] = []
+    server = Server({1: guarded(requests.append)}, faults={1: [Fault("exception", code=6)]})
     with (
         server.background("tcp://127.0.0.1:0") as running,
         Client(running.urls[0]) as plc,
         pytest.raises(Exception, match="exception 6"),
     ):
         plc.execute(pdu.WriteCoil(0, True))
-    assert seen == []
+    assert requests == []
 
 
 RULES = Rules(
@@ -104,18 +104,18 @@ REQUESTS = (
 
 
 def allowed(ask: Callable[[pdu.Request[object]], object]) -> list[bool]:
-    found = []
+    results = []
     for request in REQUESTS:
         try:
             ask(request)
-            found.append(True)
+            results.append(True)
         except IllegalFunction:
-            found.append(False)
-    return found
+            results.append(False)
+    return results
 
 
 @pytest.mark.parametrize(
-    ("role", "expected"),
+    ("role", "results"),
     [
         ("Viewer", [True, False, False, False]),
         ("Engineer", [True, True, True, True]),
@@ -123,26 +123,26 @@ def allowed(ask: Callable[[pdu.Request[object]], object]) -> list[bool]:
         ("viewer", [False, False, False, False]),
     ],
 )
-def test_rules_go_by_the_role_of_the_certificate(pki: Pki, role, expected) -> None:
+def test_rules_go_by_the_role_of_the_certificate(pki: Pki, role, results) -> None:
     device = Device(Mapping(holding_registers=1), authorize=RULES)
     server = Server(device, security=pki.server())
     with (
         server.background("tls://127.0.0.1:0") as running,
         Client(running.urls[0], security=pki.client(role)) as plc,
     ):
-        assert allowed(plc.execute) == expected
-    assert server.statistics.unauthorized == expected.count(False)
+        assert allowed(plc.execute) == results
+    assert server.statistics.unauthorized == results.count(False)
     assert device.mapping.holding_registers[0] == (5 if role == "Engineer" else 0)
 
 
 @pytest.mark.parametrize(
-    ("role", "said"),
+    ("role", "role_text"),
     [
         ("Viewer", "the server may allow it to other roles than 'Viewer'"),
         (None, "the server may allow it to some roles only, and this certificate has none"),
     ],
 )
-def test_a_refusal_over_tls_names_the_role(pki: Pki, role: str | None, said: str) -> None:
+def test_a_refusal_over_tls_names_the_role(pki: Pki, role: str | None, role_text: str) -> None:
     device = Device(Mapping(holding_registers=1), authorize=RULES)
     server = Server(device, security=pki.server())
     with (
@@ -150,7 +150,7 @@ def test_a_refusal_over_tls_names_the_role(pki: Pki, role: str | None, said: str
         Client(running.urls[0], security=pki.client(role)) as plc,
         Client(running.urls[1]) as without,
     ):
-        for client, end in ((plc, f"; {said}"), (without, "")):
+        for client, end in ((plc, f"; {role_text}"), (without, "")):
             with pytest.raises(IllegalFunction) as caught:
                 client.write_register(0, 1)
             assert str(caught.value).endswith(f"illegal function (exception 1){end}")

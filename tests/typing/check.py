@@ -27,8 +27,8 @@ Place = tuple[str, int]
 
 
 def main() -> int:
-    found = {"mypy": mypy(), "pyright": pyright()}
-    complaints = [each for item in found.items() for each in disagreements(*item)]
+    results = {"mypy": mypy(), "pyright": pyright()}
+    complaints = [each for item in results.items() for each in disagreements(*item)]
     share = completeness()
     if share < COMPLETE:
         complaints.append(f"pyright knows {share:.1f} % of the types, {COMPLETE:g} % are wanted")
@@ -49,18 +49,18 @@ def marked() -> set[Place]:
     }
 
 
-def disagreements(checker: str, found: dict[Place, str]) -> list[str]:
+def disagreements(checker: str, errors: dict[Place, str]) -> list[str]:
     """Say where a checker is silent that must speak, or the other way round."""
     wrong = marked()
-    said = [
-        f"{place[0]}:{place[1]}: {checker} complains: {found[place]}"
-        for place in sorted(found.keys() - wrong)
+    complaints = [
+        f"{place[0]}:{place[1]}: {checker} complains: {errors[place]}"
+        for place in sorted(errors.keys() - wrong)
     ]
     silent = [
         f"{place[0]}:{place[1]}: {checker} takes what is wrong"
-        for place in sorted(wrong - found.keys())
+        for place in sorted(wrong - errors.keys())
     ]
-    return said + silent
+    return complaints + silent
 
 
 # --- what the checkers say -----------------------------------------------------------------
@@ -68,8 +68,8 @@ def disagreements(checker: str, found: dict[Place, str]) -> list[str]:
 
 def mypy() -> dict[Place, str]:
     text = output([tool("mypy"), "--strict", "--no-error-summary", *paths()])
-    found = re.findall(r"^(?:.*/)?(\w+\.py):(\d+): error: (.*)$", text, re.MULTILINE)
-    return {(name, int(line)): message for name, line, message in found}
+    errors = re.findall(r"^(?:.*/)?(\w+\.py):(\d+): error: (.*)$", text, re.MULTILINE)
+    return {(name, int(line)): message for name, line, message in errors}
 
 
 def pyright() -> dict[Place, str]:
@@ -103,7 +103,7 @@ def output(command: list[str]) -> str:
     surroundings = {"PYTHONPATH": str(ROOT), "PYRIGHT_PYTHON_IGNORE_WARNINGS": "1"}
     # meter.py, which `libmodbus-py map class` has written, is beside the files that use it.
     surroundings["MYPYPATH"] = f"{ROOT}:{HERE}"
-    done = subprocess.run(
+    process = subprocess.run(
         command,
         cwd=ROOT,
         env=os.environ | surroundings,
@@ -111,9 +111,9 @@ def output(command: list[str]) -> str:
         text=True,
         check=False,
     )
-    if done.returncode not in (0, 1):
-        raise SystemExit(f"{' '.join(command)}:\n{done.stdout}{done.stderr}")
-    return done.stdout
+    if process.returncode not in (0, 1):
+        raise SystemExit(f"{' '.join(command)}:\n{process.stdout}{process.stderr}")
+    return process.stdout
 
 
 if __name__ == "__main__":

@@ -185,12 +185,12 @@ def many(plc: Client) -> None:
     assert_type(digits, dict[str, Values])
     mixed = plc.read_many({"a": ("coils", 3), "b": ("holding_registers", 2, "float32", "CDAB")})
     assert_type(mixed, dict[str, Values])
-    found = plc.read_many([("coils", 0, 8)], return_exceptions=True)
-    assert_type(found, list[Values | ModbusError])
-    named = plc.read_many({"a": ("holding_registers", 0, "float64")}, return_exceptions=True)
-    assert_type(named.good, dict[str, list[float]])
-    assert_type(named.failed, dict[str, ModbusError])
-    assert_type(named["a"], list[float] | ModbusError)
+    results = plc.read_many([("coils", 0, 8)], return_exceptions=True)
+    assert_type(results, list[Values | ModbusError])
+    by_name = plc.read_many({"a": ("holding_registers", 0, "float64")}, return_exceptions=True)
+    assert_type(by_name.good, dict[str, list[float]])
+    assert_type(by_name.failed, dict[str, ModbusError])
+    assert_type(by_name["a"], list[float] | ModbusError)
     plc.read_many(Plan({"level": ("coils", 0, 8)}, forbidden=[("coils", range(4))]))
     assert_type(plc.execute_many([pdu.ReadCoils(0, 8), pdu.ReportServerId()]), list[Any])
     for values in plc.watch({"level": ("coils", 0, 8)}, every=1, gap=4):
@@ -206,9 +206,9 @@ def named(plc: Client) -> None:
     assert_type(plc.unreadable(meter), list[Unreadable])
     assert_type(plc.unreadable(meter.plan(["level"])), list[Unreadable])
     plc.write_map(meter, {"setpoint": 21.5, "run": True}, multiple=True)
-    made = RegisterMap([Point("level", "holding_registers", 100, type="float32", scale=0.1)])
-    assert_type(plc.read_many(made.plan(["level"])), Any)
-    assert_type(made["level"].decode([0, 0]), Any)
+    map_ = RegisterMap([Point("level", "holding_registers", 100, type="float32", scale=0.1)])
+    assert_type(plc.read_many(map_.plan(["level"])), Any)
+    assert_type(map_["level"].decode([0, 0]), Any)
 
 
 async def asking(plc: AsyncClient) -> None:

@@ -35,16 +35,16 @@ FILE_REFERENCE_TYPE = 6  # section 6.14
 
 def _record_span(name: str, file: object, record: object, length: int) -> tuple[int, int]:
     try:
-        checked = (
+        span = (
             integer(f"{name} file", file, 1, 0xFFFF),
             integer(f"{name} record", record, 0, RECORDS_PER_FILE - 1),
         )
     except ValueError as error:  # a file or record that does not exist is an address
         raise AddressError(*error.args) from None
-    if checked[1] + length > RECORDS_PER_FILE:
-        reason = f"must not pass {RECORDS_PER_FILE}, but {checked[1]} + {length} does"
+    if span[1] + length > RECORDS_PER_FILE:
+        reason = f"must not pass {RECORDS_PER_FILE}, but {span[1]} + {length} does"
         raise AddressError(f"{name} record", f"+ length {reason}")
-    return checked
+    return span
 
 
 def _triple(name: str, record: object, form: str) -> Sequence[object]:
@@ -74,14 +74,14 @@ class ReadFileRecords(Request[list[list[int]]]):
     max_served: ClassVar[int] = 0xF5  # the table of section 6.14
 
     def __post_init__(self) -> None:
-        checked = []
+        records = []
         for position, record in enumerate(checked_sequence("records", self.records, 35)):
             name = f"records[{position}]"
             file, start, length = _triple(name, record, "file, record, length")
             size = integer(f"{name} length", length, 1, 124)
-            checked.append((*_record_span(name, file, start, size), size))
-        store(self, records=tuple(checked))
-        size = sum(2 + 2 * length for *_, length in checked)
+            records.append((*_record_span(name, file, start, size), size))
+        store(self, records=tuple(records))
+        size = sum(2 + 2 * length for *_, length in records)
         if size > self.max_response:
             limit = f"more than {self.max_response}"
             raise ValueError(f"records ask for a response of {size} bytes, {limit}")
@@ -145,14 +145,14 @@ class WriteFileRecords(Echoed):
     echoed = MAX_PDU
 
     def __post_init__(self) -> None:
-        checked = []
+        records = []
         for position, record in enumerate(checked_sequence("records", self.records, 27)):
             name = f"records[{position}]"
             file, start, registers = _triple(name, record, "file, record, values")
             values = checked_registers(f"{name} values", registers, 122)
-            checked.append((*_record_span(name, file, start, len(values)), values))
-        store(self, records=tuple(checked))
-        size = sum(7 + 2 * len(values) for *_, values in checked)
+            records.append((*_record_span(name, file, start, len(values)), values))
+        store(self, records=tuple(records))
+        size = sum(7 + 2 * len(values) for *_, values in records)
         if size > 0xFB:
             raise ValueError(f"records take {size} bytes, more than {0xFB}")
 

@@ -17,8 +17,8 @@ from tests.support.tls_peers import Peer, Script, TlsServer
 
 @pytest.fixture(params=["1.2", "1.3"])
 def version(request: pytest.FixtureRequest) -> str:
-    found: str = request.param
-    return found
+    value: str = request.param
+    return value
 
 
 @pytest.fixture
@@ -31,8 +31,8 @@ def serving(pki: Pki) -> Serving:
         version: str | None = None,
         **options: Any,
     ) -> TlsServer:
-        chosen = identity or certificates.server()
-        return TlsServer(context_of(pki, chosen, version, **options), script)
+        certificate = identity or certificates.server()
+        return TlsServer(context_of(pki, certificate, version, **options), script)
 
     return make
 

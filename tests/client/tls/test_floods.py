@@ -45,7 +45,7 @@ def flooding(
     serving: Serving, tmp_path: Path, kind: str, is_asked: bool
 ) -> Iterator[tuple[TlsServer, list[int]]]:
     """A server that floods after the first answer, or with the second request; and how much."""
-    log, sent = tmp_path / "keys", [0]
+    log, sizes = tmp_path / "keys", [0]
 
     def script(peer: Peer) -> None:
         sealed = Sealed(log, count=peer.tls.context.num_tickets)
@@ -54,13 +54,13 @@ def flooding(
             peer.request()
         peer.sock.settimeout(SOON)
         with contextlib.suppress(OSError):
-            while sent[0] < 100_000_000:
+            while sizes[0] < 100_000_000:
                 data = b"".join(FLOODS[kind](sealed) for _ in range(20))
                 peer.sock.sendall(data)
-                sent[0] += len(data)
+                sizes[0] += len(data)
 
     with serving(script, version="1.3", keylog_filename=str(log)) as server:
-        yield server, sent
+        yield server, sizes
 
 
 @pytest.mark.parametrize("kind", FLOODS)
@@ -68,14 +68,14 @@ def test_a_flood_while_a_request_waits(
     connect: Connect, pki: Pki, serving: Serving, tmp_path: Path, kind: str
 ) -> None:
     with (
-        flooding(serving, tmp_path, kind, is_asked=True) as (server, sent),
+        flooding(serving, tmp_path, kind, is_asked=True) as (server, sizes),
         connect(server.url, security=pki.client(), timeout=1) as plc,
     ):
         assert plc.read_holding_registers(1, 1) == [1]
         with pytest.raises(ModbusError):
             plc.read_holding_registers(2, 1)
         server.script = Peer.serve
-    assert kind == "records" or sent[0] < MUCH
+    assert kind == "records" or sizes[0] < MUCH
 
 
 @pytest.mark.parametrize("kind", FLOODS)
@@ -83,18 +83,18 @@ def test_a_flood_while_nothing_is_asked(
     connect: Connect, pki: Pki, serving: Serving, tmp_path: Path, kind: str
 ) -> None:
     with (
-        flooding(serving, tmp_path, kind, is_asked=False) as (server, sent),
+        flooding(serving, tmp_path, kind, is_asked=False) as (server, sizes),
         connect(server.url, security=pki.client(), timeout=LONG, max_pause=0) as plc,
     ):
         assert plc.read_holding_registers(1, 1) == [1]
         if not isinstance(plc, Client):
             until(lambda: plc.state is State.DISCONNECTED)
         else:
-            until(lambda: sent[0] > FULL)
+            until(lambda: sizes[0] > FULL)
         server.script = Peer.serve
         for each in range(3):
             assert plc.read_holding_registers(each, 1) == [each]
-    assert sent[0] < MUCH
+    assert sizes[0] < MUCH
 
 
 @pytest.fixture
@@ -102,31 +102,31 @@ def small_buffers(monkeypatch: pytest.MonkeyPatch) -> None:
     """The system accepts what is sent in parts only."""
     preparing = TlsPort._preparing
 
-    def prepare(port: TlsPort, made: socket.socket, deadline: float) -> Any:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
-        yield from preparing(port, made, deadline)
+    def prepare(port: TlsPort, sock: socket.socket, deadline: float) -> Any:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        yield from preparing(port, sock, deadline)
 
     monkeypatch.setattr(TlsPort, "_preparing", prepare)
 
 
 @pytest.mark.usefixtures("small_buffers")
-def test_much_is_sent_whole_and_in_order(talking: Talking) -> None:
+def test_requests_are_sent_whole_and_in_order(talking: Talking) -> None:
     """To a server that reads late and little by little."""
-    count, got = 300, []
+    count, frames = 300, []
 
     def script(peer: Peer) -> None:
         peer.sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         time.sleep(0.1)
         while request := peer.request():
-            got.append(request)
+            frames.append(request)
             peer.write(mbap(request, request[7:12]))
 
     with talking(script, client={"timeout": 60, "max_in_flight": 256}) as (_, plc):
-        asked = [pdu.WriteRegisters(each, (each,) * 120) for each in range(count)]
-        assert plc.execute_many(asked) == [None] * count
+        requests = [pdu.WriteRegisters(each, (each,) * 120) for each in range(count)]
+        assert plc.execute_many(requests) == [None] * count
         assert plc.statistics.connects == 1
-    assert [int.from_bytes(each[8:10], "big") for each in got] == list(range(count))
-    for each in got:
+    assert [int.from_bytes(each[8:10], "big") for each in frames] == list(range(count))
+    for each in frames:
         assert each[13:] == each[8:10] * 120
 
 
@@ -159,36 +159,36 @@ def test_nonsense_of_the_server_is_a_modbus_error(
 ) -> None:
     """One byte that it sends, in the handshake or after it, is changed, lost, doubled or added."""
     chance = random.Random(seed)
-    where, how, seen = 0, 0, 0
+    where, how, position = 0, 0, 0
 
     def alter(data: bytes) -> list[bytes]:
-        nonlocal seen
-        at, seen = where - seen, seen + len(data)
+        nonlocal position
+        at, position = where - position, position + len(data)
         if not 0 <= at < len(data):
             return [data]
-        changed = [
+        piece = [
             bytes([data[at] ^ 1 << chance.randrange(8)]),
             b"",
             data[at : at + 1] * 2,
             chance.randbytes(chance.randrange(1, 400)),
         ][how]
-        return [data[:at] + changed + data[at + 1 :]]
+        return [data[:at] + piece + data[at + 1 :]]
 
     before = descriptors()
     version = "1.2" if seed % 2 else "1.3"
-    failed = 0
+    failures = 0
     with serving(version=version) as server, Relay(server.port, alter) as relay:
         security = pki.client()
         for _ in range(25):
-            where, how, seen = int(1.01 ** chance.randrange(760)), chance.randrange(4), 0
+            where, how, position = int(1.01 ** chance.randrange(760)), chance.randrange(4), 0
             plc = connect(relay.url, security=security, timeout=0.15)
             try:
                 for each in range(3):
                     assert plc.read_holding_registers(each, 1) == [each]
                 assert plc.execute_many(reads(20)) == [[each] for each in range(20)]
             except ModbusError:
-                failed += 1
+                failures += 1
             plc.close()
             relay.cut()
-    assert failed
+    assert failures
     until(lambda: descriptors() <= before + 2)

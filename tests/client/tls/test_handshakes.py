@@ -71,21 +71,21 @@ def test_a_slow_handshake_is_good_if_there_is_time(connect: Connect, pki: Pki, s
 
 
 def test_close_ends_a_handshake(connect: Connect, pki: Pki) -> None:
-    reached = threading.Event()
+    event = threading.Event()
 
     def talk(sock: socket.socket) -> None:
         sock.recv(4096)
-        reached.set()
+        event.set()
         stalls(sock)
 
     with raw(talk) as url:
         plc = connect(url, security=pki.client(), timeout=60)
         with ThreadPoolExecutor(1) as pool:
-            waiting = pool.submit(plc.read_holding_registers, 0, 1)
-            assert reached.wait(SOON)
+            future = pool.submit(plc.read_holding_registers, 0, 1)
+            assert event.wait(SOON)
             plc.close()
             with pytest.raises(ModbusConnectionError, match="closed"):
-                waiting.result(SOON)
+                future.result(SOON)
 
 
 def test_a_handler_that_closes_in_the_handshake(pki: Pki) -> None:
@@ -138,10 +138,10 @@ def test_closing_at_each_await_of_a_handshake(pki: Pki) -> None:
             except asyncio.CancelledError:
                 outcomes.add("cancelled")
             near, far = socket.socketpair()
-            heard = asyncio.Event()
-            loop.add_reader(near, heard.set)
+            event = asyncio.Event()
+            loop.add_reader(near, event.set)
             far.send(b"x")
-            await asyncio.wait_for(heard.wait(), SOON)
+            await asyncio.wait_for(event.wait(), SOON)
             loop.remove_reader(near)
             near.close()
             far.close()

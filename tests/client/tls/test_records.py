@@ -21,11 +21,11 @@ ALERT, ACCESS_DENIED = 21, b"\x02\x31"
 
 
 @pytest.mark.parametrize("key", ["EC", "RSA"])
-def test_both_versions_and_both_kinds_of_keys(talking: Talking, pki: Pki, version: str, key):
+def test_ec_and_rsa_keys_serve_in_both_versions(talking: Talking, pki: Pki, version: str, key):
     options = {"key": certificates.rsa_key()} if key == "RSA" else {}
     own = {"security": pki.security(certificates.client(**options))}
-    shown = certificates.server(**options)
-    with talking(Peer.serve, shown, version, client=own) as (server, plc):
+    identity = certificates.server(**options)
+    with talking(Peer.serve, identity, version, client=own) as (server, plc):
         assert [plc.read_holding_registers(each, 1) for each in range(3)] == echoes(3)
         assert plc.execute_many(reads(300)) == echoes(300)
     assert server.connections == 1
@@ -108,7 +108,7 @@ def test_tickets_changes_of_keys_and_empty_records_between_answers(talking: Talk
 def test_requests_wait_while_a_ticket_comes_in_pieces(talking: Talking, tmp_path: Path) -> None:
     """OpenSSL encrypts nothing in the midst of a message of the handshake's kind."""
     log = tmp_path / "keys"
-    halves, asked = threading.Event(), threading.Event()
+    halves, arrival = threading.Event(), threading.Event()
 
     def script(peer: Peer) -> None:
         sealed = Sealed(log, count=peer.tls.context.num_tickets)
@@ -117,7 +117,7 @@ def test_requests_wait_while_a_ticket_comes_in_pieces(talking: Talking, tmp_path
             sealed.record(echo(peer.request())) + sealed.record(ticket[:20], HANDSHAKE)
         )
         halves.set()
-        asked.wait(LONG)
+        arrival.wait(LONG)
         time.sleep(0.1)
         peer.sock.sendall(sealed.record(ticket[20:], HANDSHAKE))
         while request := peer.request():
@@ -127,73 +127,73 @@ def test_requests_wait_while_a_ticket_comes_in_pieces(talking: Talking, tmp_path
         assert plc.read_holding_registers(1, 1) == [1]
         assert halves.wait(LONG)
         time.sleep(0.1)
-        asked.set()
+        arrival.set()
         assert plc.read_holding_registers(2, 1) == [2]
         assert plc.execute_many(reads(40)) == echoes(40)
     assert server.connections == 1
 
 
 def test_the_trace_shows_what_is_inside(talking: Talking) -> None:
-    seen: list[Traced] = []
+    frames: list[Traced] = []
     states: list[State] = []
-    told = {"trace": seen.append, "on_state": lambda state, error: states.append(state)}
-    with talking(client=told) as (server, plc):
+    callbacks = {"trace": frames.append, "on_state": lambda state, error: states.append(state)}
+    with talking(client=callbacks) as (server, plc):
         plc.read_holding_registers(0x0102, 1)
         assert plc.url == server.url
         assert (plc.statistics.requests, plc.statistics.responses) == (1, 1)
         assert plc.statistics.connects == 1
-    sent, received = seen
-    assert sent.adu[2:].hex() == "0000000601" + "0301020001"
-    assert received.adu[2:].hex() == "0000000501" + "03020102"
+    request, response = frames
+    assert request.adu[2:].hex() == "0000000601" + "0301020001"
+    assert response.adu[2:].hex() == "0000000501" + "03020102"
     assert states == [State.CONNECTING, State.CONNECTED, State.CLOSED]
 
 
-def test_an_answer_and_a_goodbye_in_one_go(talking: Talking) -> None:
+def test_an_answer_and_a_close_notify_together(talking: Talking) -> None:
     """
     The answer counts, and who waits for another one hears at once that there is none: TLS has
     ended, though TCP has not.
     """
-    done = threading.Event()
+    event = threading.Event()
 
     def script(peer: Peer) -> None:
-        if done.is_set():  # the others are sent once more
+        if event.is_set():  # the others are sent once more
             assert len([peer.request() for _ in range(3)]) == 3
             return
-        asked = [peer.request() for _ in range(4)]
-        done.set()
-        peer.sock.sendall(peer.sealed(echo(asked[0])) + peer.end())
+        requests = [peer.request() for _ in range(4)]
+        event.set()
+        peer.sock.sendall(peer.sealed(echo(requests[0])) + peer.end())
         peer.sock.recv(1)
 
     with talking(script, client={"timeout": 600, "max_in_flight": 8}) as (_, plc):
-        found = plc.execute_many(reads(4), return_exceptions=True)
-        assert found[0] == [0]
-        assert [type(each) for each in found[1:]] == [ModbusConnectionError] * 3
-        assert "closed by the other side" in str(found[1])
+        outcomes = plc.execute_many(reads(4), return_exceptions=True)
+        assert outcomes[0] == [0]
+        assert [type(each) for each in outcomes[1:]] == [ModbusConnectionError] * 3
+        assert "closed by the other side" in str(outcomes[1])
 
 
-def test_an_answer_and_an_alert_in_one_go(connect: Connect, pki: Pki, serving: Serving, tmp_path):
+def test_an_answer_and_an_alert_together(connect: Connect, pki: Pki, serving: Serving, tmp_path):
     """More requests wait to be sent, and cannot be any more."""
     log = tmp_path / "keys"
-    kept: list[socket.socket] = []
+    sockets: list[socket.socket] = []
 
     def script(peer: Peer) -> None:
         sealed = Sealed(log, count=peer.tls.context.num_tickets)
         request = peer.request()
-        kept.append(peer.sock.dup())
+        sockets.append(peer.sock.dup())
         server.script = Peer.serve
         peer.sock.sendall(sealed.record(echo(request)) + sealed.record(ACCESS_DENIED, ALERT))
 
     with serving(script, version="1.3", keylog_filename=str(log)) as server:
         with connect(server.url, security=pki.client(), timeout=600, max_in_flight=4) as plc:
-            found = plc.execute_many(reads(9), return_exceptions=True)
-        kept[0].close()
-    refused = [each for each in found if isinstance(each, ModbusConnectionError)]
-    assert found[0] == [0]
-    assert refused
-    assert {each.args[0].partition(": ")[0].partition(" ")[2] for each in refused} == {
+            outcomes = plc.execute_many(reads(9), return_exceptions=True)
+        sockets[0].close()
+    errors = [each for each in outcomes if isinstance(each, ModbusConnectionError)]
+    assert outcomes[0] == [0]
+    assert errors
+    assert {each.args[0].partition(": ")[0].partition(" ")[2] for each in errors} == {
         "refused our certificate (tlsv1 alert access denied)"
     }
-    assert found[-1] == [8]
+    assert outcomes[-1] == [8]
 
 
 def test_a_connection_that_ends_within_a_record(talking: Talking) -> None:

@@ -124,18 +124,18 @@ def test_our_own_server_knows_who_comes_back(connect: Connect, pki: Pki) -> None
 
 
 def unverified(pki: Pki) -> ssl.SSLContext:
-    made = ssl.create_default_context()
-    made.check_hostname = False
-    made.verify_mode = ssl.CERT_NONE
-    return made
+    context_ = ssl.create_default_context()
+    context_.check_hostname = False
+    context_.verify_mode = ssl.CERT_NONE
+    return context_
 
 
 def test_a_given_context_serves_several_connections(pki: Pki, connect: Connect) -> None:
-    given = GivenContext(context(pki, certificates.client()))
+    security = GivenContext(context(pki, certificates.client()))
     device = Device(Mapping(holding_registers={7: [5579]}))
     with Server(device, security=pki.server()).background("tls://127.0.0.1:0") as running:
         for _ in range(2):
-            with connect(running.urls[0], security=given) as plc:
+            with connect(running.urls[0], security=security) as plc:
                 assert plc.read_holding_registers(7, 1) == [5579]
 
 
@@ -148,7 +148,7 @@ def test_a_given_context_may_trust_everybody(pki: Pki, connect: Connect) -> None
         assert plc.read_holding_registers(7, 1) == [7]
 
 
-def test_what_a_given_context_refuses_is_named(pki: Pki, connect: Connect) -> None:
+def test_refusals_of_a_context_are_named(pki: Pki, connect: Connect) -> None:
     bad = context_of(pki, certificates.server(**expired()), verify_mode=ssl.CERT_NONE)
     with (
         TlsServer(bad) as server,
@@ -161,11 +161,11 @@ def test_what_a_given_context_refuses_is_named(pki: Pki, connect: Connect) -> No
 
 def test_a_refusal_of_ours_names_no_certificate(pki: Pki, connect: Connect) -> None:
     """No context says which one it shows."""
-    given = GivenContext(context(pki))
+    security = GivenContext(context(pki))
     with (
         Server(Device(Mapping()), security=pki.server()).background("tls://127.0.0.1:0") as at,
         pytest.raises(ModbusConnectionError, match="certificate") as caught,
-        connect(at.urls[0], security=given) as plc,
+        connect(at.urls[0], security=security) as plc,
     ):
         plc.read_holding_registers(7, 1)
     assert "SHA-256" not in str(caught.value)
@@ -178,10 +178,10 @@ WRONG: dict[str, tuple[Any, type[Exception]]] = {
 }
 
 
-@pytest.mark.parametrize(("given", "error"), WRONG.values(), ids=WRONG)
-def test_a_context_must_be_a_clients(given: Any, error: type[Exception]) -> None:
+@pytest.mark.parametrize(("context_", "error"), WRONG.values(), ids=WRONG)
+def test_a_context_must_be_a_clients(context_: Any, error: type[Exception]) -> None:
     with pytest.raises(error, match="context must be"):
-        GivenContext(given)
+        GivenContext(context_)
 
 
 def test_a_server_takes_security_only(pki: Pki) -> None:

@@ -38,12 +38,12 @@ def ask(connect: Connect, url: str, security: Any, until: threading.Event | None
 
 def refusal(connect: Connect, server: TlsServer, security: Any) -> Any:
     """Connect in vain; nothing of Modbus may go out, and nobody is asked twice."""
-    asked: list[bytes] = []
-    server.script = lambda peer: asked.append(peer.read())
+    requests: list[bytes] = []
+    server.script = lambda peer: requests.append(peer.read())
     with pytest.raises(ModbusConnectionError) as caught:
         ask(connect, server.url, security)
     until(lambda: len(server.errors) + len(server.resumed) == server.connections)
-    assert asked in ([], [b""])
+    assert requests in ([], [b""])
     assert server.connections == 1
     return caught.value
 
@@ -104,7 +104,7 @@ def test_a_bad_certificate_is_named_with_what_is_wrong(
         pytest.param("[0:0::1]", ("::1",), True, marks=NEEDS_IPV6),
     ],
 )
-def test_names_and_addresses(
+def test_certificates_must_name_the_host_or_its_address(
     monkeypatch, connect: Connect, pki: Pki, serving: Serving, host, hosts, is_good
 ) -> None:
     resolve(monkeypatch, "plc.example")
@@ -186,7 +186,7 @@ def test_another_certificate_than_the_pinned_one_is_named(
 
 
 @pytest.mark.parametrize("is_abrupt", [False, True])
-def test_the_servers_refusal_of_our_certificate_is_told(
+def test_the_servers_refusal_of_our_certificate_is_named(
     connect: Connect, pki: Pki, serving: Serving, version: str, is_abrupt: bool
 ) -> None:
     own = certificates.client(issuer=foreign_authority())
@@ -216,17 +216,17 @@ def refusing(context: ssl.SSLContext, is_abrupt: bool, sock: socket.socket) -> N
 def test_a_reset_behind_the_refusal_does_not_hide_it(connect: Connect, pki: Pki, serving: Serving):
     """The request finds the connection gone; what the server said before is still to be read."""
     own = certificates.client(issuer=foreign_authority())
-    gone = threading.Event()
+    event = threading.Event()
 
     def talk(sock: socket.socket) -> None:
         refusing(server.context, True, sock)
         sock.close()
-        gone.set()
+        event.set()
 
     server = serving(version="1.3")
     server._talk = talk
     with server, pytest.raises(ModbusConnectionError, match="refused our certificate"):
-        ask(connect, server.url, pki.security(own), until=gone)
+        ask(connect, server.url, pki.security(own), until=event)
 
 
 HINT = "it may have refused our certificate"
@@ -277,7 +277,7 @@ def test_a_tls_1_2_server_that_closes_behind_our_certificate(
         (b"", "closed by the other side"),
     ],
 )
-def test_what_answers_there_is_told(connect: Connect, pki: Pki, says: bytes, text: str) -> None:
+def test_what_answers_there_is_named(connect: Connect, pki: Pki, says: bytes, text: str) -> None:
     with (
         raw(lambda sock: sock.sendall(says if sock.recv(4096) else b"")) as url,
         pytest.raises(ModbusConnectionError, match=text) as caught,

@@ -16,8 +16,8 @@ ROWS = list(csv.reader((Path(__file__).parent / "files/requests.csv").read_text(
 
 def decoded(text: str) -> bytes:
     """Return the bytes of a request of the file, where `00*3` and `(01 02)*3` come three times."""
-    repeated = re.compile(r"(?:\(([^)]+)\)|(\w\w))\*(\d+)")
-    return bytes.fromhex(repeated.sub(lambda m: f"{m[1] or m[2]} " * int(m[3]), text))
+    repetition = re.compile(r"(?:\(([^)]+)\)|(\w\w))\*(\d+)")
+    return bytes.fromhex(repetition.sub(lambda m: f"{m[1] or m[2]} " * int(m[3]), text))
 
 
 class TestBadRequests:

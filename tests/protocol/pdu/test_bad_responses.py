@@ -132,10 +132,10 @@ class TestBadResponses:
     @each_case(("request_", "good"), [each for each in ANSWERED if each[0].may_be_broadcast])
     def test_every_byte_of_an_echo_counts(self, request_: pdu.Request[Any], good: bytes) -> None:
         for at in range(1, len(good)):
-            spoilt = bytearray(good)
-            spoilt[at] ^= 1
+            echo = bytearray(good)
+            echo[at] ^= 1
             with pytest.raises(errors.InvalidResponse):
-                request_.decode_response(bytes(spoilt))
+                request_.decode_response(bytes(echo))
 
     def test_padding_bits_of_coils_are_ignored(self) -> None:
         assert pdu.ReadCoils(0, 3).decode_response(b"\1\1\xfd") == [True, False, True]

@@ -151,9 +151,9 @@ class TestConstructors:
     @pytest.mark.parametrize(("name", "limit", "make"), SEQUENCED)
     def test_values_of_any_iterable_are_kept_as_a_tuple(self, name, limit, make) -> None:
         for values in ([1, 0], (1, 0), range(1, -1, -1), (value for value in (1, 0))):
-            kept = getattr(make(0, values), name)
-            assert kept == (1, 0)
-            assert type(kept) is tuple
+            field = getattr(make(0, values), name)
+            assert field == (1, 0)
+            assert type(field) is tuple
 
     def test_registers_of_other_kinds_of_integers_become_int(self) -> None:
         assert repr(pdu.WriteRegisters(0, [1, Seven()]).values) == "(1, 7)"

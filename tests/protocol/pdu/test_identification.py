@@ -20,24 +20,24 @@ from tests.support.cases import each_case
 
 class TestServerId:
     def test_identifier_is_one_byte_unless_split_again(self) -> None:
-        found = ReportServerId().decode_response(b"\x11\6abc\xffde")
-        assert found == ServerId(b"a", None, b"bc\xffde")
+        server_id = ReportServerId().decode_response(b"\x11\6abc\xffde")
+        assert server_id == ServerId(b"a", None, b"bc\xffde")
         assert ServerId.split(b"abc\xffde", 3) == ServerId(b"abc", True, b"de")
 
     def test_all_of_the_data_can_be_had_back(self) -> None:
         for data in (b"\xb4\xff", b"\xb4\0", b"\xb4\xff3.1.6", b"ACME", b"A\x01", bytes(251)):
             response = bytes([0x11, len(data)]) + data
-            found = ReportServerId().decode_response(response)
-            assert found.data == data
-            assert ReportServerId().encode_response(found) == response
+            server_id = ReportServerId().decode_response(response)
+            assert server_id.data == data
+            assert ReportServerId().encode_response(server_id) == response
             for length in range(len(data)):
-                assert ServerId.split(found.data, length).data == data
+                assert ServerId.split(server_id.data, length).data == data
 
     def test_only_00_and_ff_tell_whether_the_device_runs(self) -> None:
         for byte in range(256):
-            found = ServerId.split(bytes([0x01, byte, 0x02]))
-            assert found.running is {0x00: False, 0xFF: True}.get(byte)
-            assert found.additional == (b"\2" if byte in (0x00, 0xFF) else bytes([byte, 2]))
+            server_id = ServerId.split(bytes([0x01, byte, 0x02]))
+            assert server_id.running is {0x00: False, 0xFF: True}.get(byte)
+            assert server_id.additional == (b"\2" if byte in (0x00, 0xFF) else bytes([byte, 2]))
 
     def test_split_takes_any_length_that_leaves_the_indicator(self) -> None:
         assert ServerId.split(b"\xff", 0) == ServerId(b"", True)
@@ -65,10 +65,10 @@ def served(objects: dict[int, bytes], level: str | int) -> tuple[dict[int, bytes
     """Return what a client gets from a device with these objects, and its requests."""
     steps = identify(level)
     request = next(steps)
-    asked: list[int] = []
+    numbers: list[int] = []
     while True:
-        asked.append(request.object_id)
-        assert len(asked) <= 300
+        numbers.append(request.object_id)
+        assert len(numbers) <= 300
         body = request.encode_response(pages(request, objects)._replace(conformity=0x83))
         assert len(body) <= pdu.MAX_PDU
         again = decode_request(request.encode())
@@ -76,26 +76,26 @@ def served(objects: dict[int, bytes], level: str | int) -> tuple[dict[int, bytes
         try:
             request = steps.send(again.decode_response(body))
         except StopIteration as done:
-            found: pdu.DeviceIdentification = done.value
+            identification: pdu.DeviceIdentification = done.value
             break
-    assert found.conformity == 0x83
-    return found.objects, asked
+    assert identification.conformity == 0x83
+    return identification.objects, numbers
 
 
 class TestIdentification:
     @pytest.mark.parametrize(
-        ("level", "numbers", "asked"),
+        ("level", "numbers", "objects"),
         [
             ("basic", [0, 1, 2], [0, 2]),
             ("regular", [0, 1, 2, 3, 4, 6], [0, 2, 3, 4]),
             ("extended", list(OBJECTS), [0, 2, 3, 4, 128, 129]),
         ],
     )
-    def test_stream_goes_over_as_many_pages_as_it_takes(self, level, numbers, asked) -> None:
-        found, requests = served(OBJECTS, level)
-        assert found == {number: OBJECTS[number] for number in numbers}
-        assert list(found) == numbers
-        assert requests == asked
+    def test_stream_goes_over_as_many_pages_as_it_takes(self, level, numbers, objects) -> None:
+        values, requests = served(OBJECTS, level)
+        assert values == {number: OBJECTS[number] for number in numbers}
+        assert list(values) == numbers
+        assert requests == objects
 
     def test_what_fits_to_the_byte_is_on_the_page(self) -> None:
         request = ReadDeviceIdentification(1)
@@ -125,12 +125,12 @@ class TestIdentification:
         for number in (0, 6, 200, 255):
             steps = identify(number)
             assert next(steps) == ReadDeviceIdentification(4, number)
-            with pytest.raises(StopIteration) as done:
+            with pytest.raises(StopIteration) as stop:
                 steps.send(IdentificationPage(0x81, None, {number: b"x"}))
-            assert done.value.value == pdu.DeviceIdentification(0x81, {number: b"x"})
+            assert stop.value.value == pdu.DeviceIdentification(0x81, {number: b"x"})
 
     @each_case(
-        ("pages_", "asked"),
+        ("pages_", "numbers"),
         [
             ([(0, {0: b"a"})], [0]),  # the same again
             ([(1, {0: b"a"}), (1, {1: b"b"})], [0, 1]),  # stays
@@ -141,7 +141,7 @@ class TestIdentification:
             ([(5, {}), (3, {})], [0, 5]),
         ],
     )
-    def test_device_that_leads_in_circles_is_invalid(self, pages_, asked) -> None:
+    def test_device_that_leads_in_circles_is_invalid(self, pages_, numbers) -> None:
         steps = identify("regular")
         requests = [next(steps)]
         *good, bad = pages_
@@ -149,7 +149,7 @@ class TestIdentification:
             requests.append(steps.send(IdentificationPage(2, following, objects)))
         with pytest.raises(InvalidResponse) as caught:
             steps.send(IdentificationPage(2, *bad))
-        assert [request.object_id for request in requests] == asked
+        assert [request.object_id for request in requests] == numbers
         assert caught.value.function == 43
         assert caught.value.asked == str(requests[-1])
 
@@ -159,10 +159,10 @@ class TestIdentification:
         steps = identify(level)
         next(steps)
         assert steps.send(IdentificationPage(2, 2, {0: b"a", 1: b"b"})).object_id == 2
-        with pytest.raises(StopIteration) as done:
+        with pytest.raises(StopIteration) as stop:
             steps.send(IdentificationPage(2, following, {2: b"c"}))
-        expected = pdu.DeviceIdentification(2, {0: b"a", 1: b"b", 2: b"c"}, complete=False)
-        assert done.value.value == expected
+        identification = pdu.DeviceIdentification(2, {0: b"a", 1: b"b", 2: b"c"}, complete=False)
+        assert stop.value.value == identification
 
     @pytest.mark.parametrize("next_object", [None, 3])
     def test_page_that_promises_more_than_a_message_holds_gives_what_came(self, next_object):
@@ -176,9 +176,9 @@ class TestIdentification:
         assert page == IdentificationPage(2, next_object, objects_, complete=False)
         steps = identify("regular")
         next(steps)
-        with pytest.raises(StopIteration) as done:
+        with pytest.raises(StopIteration) as stop:
             steps.send(page)
-        assert done.value.value == pdu.DeviceIdentification(2, objects_, complete=False)
+        assert stop.value.value == pdu.DeviceIdentification(2, objects_, complete=False)
         for missing in (0, 1, 2):
             steps = identify("regular")
             next(steps)
@@ -248,12 +248,12 @@ def test_objects_have_the_names_of_the_specification() -> None:
 
 
 @each_case(
-    ("more", "following", "expected"), [(0, 0, None), (0, 5, None), (0xFF, 0, 0), (0xFF, 5, 5)]
+    ("more", "following", "number"), [(0, 0, None), (0, 5, None), (0xFF, 0, 0), (0xFF, 5, 5)]
 )
-def test_the_next_object_counts_only_if_more_follow(more, following, expected) -> None:
+def test_the_next_object_counts_only_if_more_follow(more, following, number) -> None:
     response = page((0, b"a"), more=more, following=following)
-    found = pdu.ReadDeviceIdentification(1).decode_response(response)
-    assert found == pdu.IdentificationPage(0x81, expected, {0: b"a"})
+    result = pdu.ReadDeviceIdentification(1).decode_response(response)
+    assert result == pdu.IdentificationPage(0x81, number, {0: b"a"})
 
 
 def test_an_object_that_comes_twice_or_was_not_asked_for_is_refused() -> None:

@@ -106,12 +106,12 @@ class TestRegister:
             pdu.REQUESTS.pop(0x41)
 
     def test_taken_function_is_refused(self, doubled: type[Doubled]) -> None:
-        known = dict(pdu.REQUESTS)
+        classes = dict(pdu.REQUESTS)
         for code in pdu.REQUESTS:
             other = type("Other", (Doubled,), {"function": code, "__slots__": ()})
             with pytest.raises(ValueError, match=rf"^Other: function {code} is \w+$"):
                 pdu.register(other)
-        assert known == pdu.REQUESTS
+        assert classes == pdu.REQUESTS
 
     @each_case("code", [0, 128, 255, -1, "65", None])
     def test_function_is_a_code(self, code: Any) -> None:

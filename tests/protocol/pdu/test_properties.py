@@ -122,26 +122,26 @@ class TestProperties:
     @settings(max_examples=60)
     @given(requests())
     def test_requests_survive_the_wire(self, request_: pdu.Request[Any]) -> None:
-        encoded = request_.encode()
-        assert pdu.decode_request(encoded) == request_
-        assert len(encoded) <= pdu.MAX_PDU
-        right = len(encoded) if tells_its_length(encoded) else 0
-        assert pdu.request_length(encoded) == right
+        data = request_.encode()
+        assert pdu.decode_request(data) == request_
+        assert len(data) <= pdu.MAX_PDU
+        right = len(data) if tells_its_length(data) else 0
+        assert pdu.request_length(data) == right
 
     @settings(max_examples=60)
     @given(st.data())
     def test_results_survive_the_wire(self, data: st.DataObject) -> None:
         request = data.draw(requests())
         result = data.draw(results(request))
-        encoded = request.encode_response(result)
-        assert request.decode_response(encoded) == result
-        assert len(encoded) <= pdu.MAX_PDU
-        right = len(encoded) if tells_its_length(encoded) else 0
-        assert pdu.response_length(encoded) == right
+        response = request.encode_response(result)
+        assert request.decode_response(response) == result
+        assert len(response) <= pdu.MAX_PDU
+        right = len(response) if tells_its_length(response) else 0
+        assert pdu.response_length(response) == right
 
     @settings(max_examples=30)
     @given(identifications, st.sampled_from(["basic", "regular", "extended"]))
     def test_any_identification_arrives_whole(self, objects: dict[int, bytes], level: str) -> None:
         last = LAST_OBJECT[pdu.interface.LEVELS[level]]
-        wanted = {number: value for number, value in objects.items() if number <= last}
-        assert served(objects, level)[0] == wanted
+        values = {number: value for number, value in objects.items() if number <= last}
+        assert served(objects, level)[0] == values

@@ -74,9 +74,9 @@ class TestWorkedExamples:
         kinds = {1: IllegalFunction, 2: IllegalDataAddress}
         request = next(
             (
-                FROM_FIELDS[asked.function](asked.fields)
-                for asked in REQUESTS
-                if asked.id == vector.request
+                FROM_FIELDS[example.function](example.fields)
+                for example in REQUESTS
+                if example.id == vector.request
             ),
             pdu.ReadHoldingRegisters(0, 1),
         )
