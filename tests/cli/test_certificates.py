@@ -31,8 +31,8 @@ def role_in(path: Path) -> str | None:
 
 def test_it_makes_an_authority_a_server_and_clients(tmp_path: Path) -> None:
     directory = tmp_path / "new" / "with a space"
-    done = made(directory)
-    assert (done.code, done.err) == (0, "")
+    result = made(directory)
+    assert (result.code, result.err) == (0, "")
     roles = {path.stem: role_in(path) for path in directory.glob("*.pem") if "key" not in path.name}
     assert roles == {
         **dict.fromkeys(["ca", "server", "no-role"]),
@@ -49,12 +49,12 @@ def test_it_makes_an_authority_a_server_and_clients(tmp_path: Path) -> None:
 
 
 def test_options(tmp_path: Path) -> None:
-    done = made(
+    result = made(
         tmp_path,
         *("--host", "plc.example", "--host", "192.0.2.7", "--days", "7"),
         *("--role", "Shift leader", "--role", "Prüfer"),
     )
-    assert done.code == 0, done.err
+    assert result.code == 0, result.err
     server = load(tmp_path / "server.pem")
     names = server.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     assert names.get_values_for_type(x509.DNSName) == ["localhost", "plc.example"]
@@ -63,8 +63,8 @@ def test_options(tmp_path: Path) -> None:
     assert role_in(tmp_path / "shift-leader.pem") == "Shift leader"
     assert role_in(tmp_path / "prüfer.pem") == "Prüfer"
     assert not (tmp_path / "operator.pem").exists()
-    left = server.not_valid_after_utc - datetime.now(UTC)
-    assert timedelta(days=6) < left < timedelta(days=7)
+    lifetime = server.not_valid_after_utc - datetime.now(UTC)
+    assert timedelta(days=6) < lifetime < timedelta(days=7)
 
 
 def test_without_cryptography_it_says_what_to_install(tmp_path, monkeypatch) -> None:
@@ -72,18 +72,18 @@ def test_without_cryptography_it_says_what_to_install(tmp_path, monkeypatch) -> 
     for name in missing:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "cryptography", None)
-    done = made(tmp_path)
-    assert done.code == 1
-    assert done.err.count("\n") == 1
-    assert how_to_add("security") in done.err
+    result = made(tmp_path)
+    assert result.code == 1
+    assert result.err.count("\n") == 1
+    assert how_to_add("security") in result.err
 
 
 def test_the_commands_it_prints_work(tmp_path: Path) -> None:
     serve, read = (shlex.split(line)[1:] for line in made(tmp_path / "a b").out.splitlines()[-2:])
     serve[1] = "tls://127.0.0.1:0"
     with serving(*serve) as (_, read[1]):
-        done = run(*read)
-    assert (done.out, done.err) == ("    0  0\n", "")
+        result = run(*read)
+    assert (result.out, result.err) == ("    0  0\n", "")
 
 
 LONG = "a-machine-whose-name-is-longer-than-a-common-name-may-be-in-a-plant.example"
@@ -120,24 +120,24 @@ def test_machines_have_certificates_of_one_authority(tmp_path: Path) -> None:
     assert [type(each) for each in addresses.value] == [x509.IPAddress]
 
 
-@each_case("left", ["", "-----BEGIN PRIVATE KEY-----\nMIGHAgEA"])
-def test_a_key_of_an_interrupted_run_is_no_authority(left: str, tmp_path: Path) -> None:
-    folder = tmp_path / f"{len(left)} characters"
+@each_case("name", ["", "-----BEGIN PRIVATE KEY-----\nMIGHAgEA"])
+def test_a_key_of_an_interrupted_run_is_no_authority(name: str, tmp_path: Path) -> None:
+    folder = tmp_path / f"{len(name)} characters"
     folder.mkdir()
-    (folder / "ca-key.pem").write_text(left)
+    (folder / "ca-key.pem").write_text(name)
     assert made(folder, "n1").code == 0
     assert (folder / "ca-key.pem").stat().st_mode & 0o777 == 0o600
     load(folder / "n1" / "server.pem").verify_directly_issued_by(load(folder / "ca.pem"))
 
 
-@each_case("left", ["", "-----BEGIN PRIVATE KEY-----\nMIGHAgEA", None])
-def test_an_authority_without_its_key_is_named(left: str | None, tmp_path: Path) -> None:
+@each_case("name", ["", "-----BEGIN PRIVATE KEY-----\nMIGHAgEA", None])
+def test_an_authority_without_its_key_is_named(name: str | None, tmp_path: Path) -> None:
     made(tmp_path, "n1")
     key = tmp_path / "ca-key.pem"
-    key.unlink() if left is None else key.write_text(left)
-    done = made(tmp_path, "n2")
-    assert done.code == 2
-    assert f"{key} is not the key of {tmp_path}/ca.pem" in done.err
+    key.unlink() if name is None else key.write_text(name)
+    result = made(tmp_path, "n2")
+    assert result.code == 2
+    assert f"{key} is not the key of {tmp_path}/ca.pem" in result.err
     assert not (tmp_path / "n2").exists()
 
 
@@ -151,18 +151,18 @@ def test_what_cannot_be_written_leaves_no_half(tmp_path, monkeypatch) -> None:
     assert [each for each in tmp_path.rglob("*") if each.is_file()] == []
 
 
-def names_of(done: Done) -> dict[str, list[str]]:
+def names_of(result: Done) -> dict[str, list[str]]:
     """Return what --list printed: name -> serial number, days left and purpose."""
-    assert (done.code, done.err) == (0, "")
-    return {row[0]: row[1:] for row in (line.split() for line in done.out.splitlines())}
+    assert (result.code, result.err) == (0, "")
+    return {row[0]: row[1:] for row in (line.split() for line in result.out.splitlines())}
 
 
 def verified(folder: Path, name: str) -> str:
     """Return what OpenSSL says of a certificate, with the list of the authority."""
     files = ("-CAfile", folder / "ca.pem", "-CRLfile", folder / "crl.pem", "-crl_check_all")
     command = ["openssl", "verify", *map(str, files), str(folder / f"{name}.pem")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    return done.stdout + done.stderr
+    result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return result.stdout + result.stderr
 
 
 def test_the_list_has_serial_numbers_days_and_purposes(tmp_path: Path) -> None:
@@ -200,17 +200,17 @@ def test_a_renewed_certificate_has_all_but_its_times_and_number(tmp_path: Path) 
     assert load(tmp_path / "viewer.pem") == before["viewer"]
     assert made(tmp_path, "--renew").code == 0
     assert load(tmp_path / "viewer.pem") != before["viewer"]
-    left = load(tmp_path / "viewer.pem").not_valid_after_utc - datetime.now(UTC)
-    assert timedelta(days=9) < left < timedelta(days=10)
+    lifetime = load(tmp_path / "viewer.pem").not_valid_after_utc - datetime.now(UTC)
+    assert timedelta(days=9) < lifetime < timedelta(days=10)
     assert {path: path.read_bytes() for path in keys} == keys
 
 
 def test_revoked_ones_are_refused_and_no_others(tmp_path: Path) -> None:
     """By name, and by a serial number as the audit trail has it, of a certificate that is gone."""
     made(tmp_path)
-    gone = f"{load(tmp_path / 'operator.pem').serial_number:x}"
-    done = made(tmp_path, "--revoke", "viewer", "--revoke", gone)
-    assert done.out.splitlines()[1:] == [f"{gone}: revoked", str(tmp_path / "crl.pem")]
+    serial = f"{load(tmp_path / 'operator.pem').serial_number:x}"
+    result = made(tmp_path, "--revoke", "viewer", "--revoke", serial)
+    assert result.out.splitlines()[1:] == [f"{serial}: revoked", str(tmp_path / "crl.pem")]
     assert made(tmp_path, "--crl", "--days", "3").code == 0  # what was revoked stays so
     for name in ("viewer", "operator"):
         assert "certificate revoked" in verified(tmp_path, name)
@@ -252,9 +252,9 @@ def test_wrong_words_change_nothing(tmp_path: Path, words: tuple[str, ...], reas
     if not (tmp_path / "ca.pem").exists():
         made(tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    done = made(tmp_path, *words)
-    assert done.code == 2
-    assert reason in done.err
+    result = made(tmp_path, *words)
+    assert result.code == 2
+    assert reason in result.err
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 

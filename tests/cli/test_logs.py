@@ -87,11 +87,11 @@ def test_an_exception_is_told_whole(form: str, capsys: pytest.CaptureFixture[str
             raise ValueError("wrong")
         except ValueError:
             LOGGER.exception("it failed")
-    told = capsys.readouterr().err
+    text = capsys.readouterr().err
     if form == "json":
-        assert told.count("\n") == 1
-        told = json.loads(told)["exception"]
-    assert told.rstrip().endswith("ValueError: wrong")
+        assert text.count("\n") == 1
+        text = json.loads(text)["exception"]
+    assert text.rstrip().endswith("ValueError: wrong")
 
 
 def test_servers_tell_where_they_listen_and_every_frame(command: list[str]) -> None:

@@ -141,10 +141,10 @@ def printed(command: str, url: str, folder: Path) -> list[str]:
     words = [word.replace("FOLDER", str(folder)) for word in shlex.split(command)]
     # Readings go to the descriptor of the standard output: poll needs a process.
     call = ended if words[0] == "poll" else run
-    done = call(*(typed.get(word, word) for word in words))
-    lines = [done.out.rstrip("\n")] if done.out else []
-    lines += [f"stderr: {line}" for line in done.err.splitlines()]
-    lines += [f"exit code {done.code}"] if done.code else []
+    result = call(*(typed.get(word, word) for word in words))
+    lines = [result.out.rstrip("\n")] if result.out else []
+    lines += [f"stderr: {line}" for line in result.err.splitlines()]
+    lines += [f"exit code {result.code}"] if result.code else []
     return [stable(line).replace(str(folder), "FOLDER") for line in lines]
 
 

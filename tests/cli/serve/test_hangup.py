@@ -101,16 +101,16 @@ def started(folder: Path, name: str, how: str = "") -> Iterator[Started]:
         os.mkfifo(folder / "gate")
     else:
         (folder / "file").write_text(FILES[name])
-    made = Started(folder, name, how)
+    process = Started(folder, name, how)
     try:
         if how != "waiting":
-            until(lambda: catches_hangup(made.process.pid))
-        yield made
+            until(lambda: catches_hangup(process.process.pid))
+        yield process
     finally:
-        made.process.kill()
-        made.process.wait()
+        process.process.kill()
+        process.process.wait()
         with contextlib.suppress(OSError):
-            os.close(made.master)
+            os.close(process.master)
 
 
 def catches_hangup(process: int) -> bool:
@@ -196,13 +196,13 @@ def test_a_gateway_ends_with_the_newest_routes(tmp_path: Path) -> None:
                     for _ in range(2):  # the second perhaps before the first was answered
                         process.send_signal(signal.SIGHUP)
                     assert context.read_coils(0, 1) == [False]
-                said = f"{path}: read again, 1 route: "
-                assert reload_line(process) == f"{said}1 new, 1 removed"
-                assert reload_line(process).startswith(said)
+                prefix = f"{path}: read again, 1 route: "
+                assert reload_line(process) == f"{prefix}1 new, 1 removed"
+                assert reload_line(process).startswith(prefix)
                 write("1-300")
                 process.send_signal(signal.SIGHUP)
                 while not (line := reload_line(process)).startswith("the former"):
-                    assert line.startswith(said)
+                    assert line.startswith(prefix)
                 assert line.endswith(
                     f"{path}, line 4: route[0].units: '1-300' must go up, within 0..255"
                 )
@@ -220,8 +220,8 @@ def test_poll_reads_the_file_again(tmp_path: Path) -> None:
         with Forked("poll", path, *INFO) as process:
 
             def reading() -> dict[str, str]:
-                found: dict[str, str] = json.loads(process.stdout.readline())
-                return found
+                row: dict[str, str] = json.loads(process.stdout.readline())
+                return row
 
             def said_of(content: str) -> str:
                 path.write_text(content)
@@ -237,8 +237,8 @@ def test_poll_reads_the_file_again(tmp_path: Path) -> None:
             assert not (tmp_path / "readings.csv").exists()
             (tmp_path / "fleet.toml").write_text(text.replace('"a"', '"b"'))
             process.send_signal(signal.SIGHUP)
-            said = f"{path}: read again, 1 device: "
-            assert reload_line(process) == f"{said}1 new, 1 removed"
+            prefix = f"{path}: read again, 1 device: "
+            assert reload_line(process) == f"{prefix}1 new, 1 removed"
             while reading()["device"] != "b":
                 pass
             for make in (os.mkfifo, lambda path: path.symlink_to("/dev/zero")):

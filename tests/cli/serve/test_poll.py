@@ -63,12 +63,12 @@ def started(*arguments: object) -> Started:
 def test_once_to_several_outputs(fleet: Path) -> None:
     a, b, c = (fleet.with_name(name) for name in ("a.csv", "b.csv", "c.jsonl"))
     options = ["--csv", a, "--json", c, "--csv", b, "--json"]  # which may be repeated
-    done = ended("poll", fleet, "--once", *options)
-    told = [json.loads(line) for line in done.out.splitlines()]
-    assert sorted(c.read_text().splitlines()) == sorted(done.out.splitlines())
+    result = ended("poll", fleet, "--once", *options)
+    rows = [json.loads(line) for line in result.out.splitlines()]
+    assert sorted(c.read_text().splitlines()) == sorted(result.out.splitlines())
     assert sorted(a.read_text().splitlines()) == sorted(b.read_text().splitlines())
     assert len(a.read_text().splitlines()) == 7
-    assert sorted((each["device"], each["name"], each["value"]) for each in told) == [
+    assert sorted((each["device"], each["name"], each["value"]) for each in rows) == [
         ("gone", "current", None),
         ("gone", "voltage", None),
         ("one", "current", 1.5),
@@ -76,8 +76,8 @@ def test_once_to_several_outputs(fleet: Path) -> None:
         ("two", "current", 1.5),
         ("two", "voltage", 230.5),
     ]
-    assert done.code == 1  # one gave no answer
-    assert done.err == ""
+    assert result.code == 1  # one gave no answer
+    assert result.err == ""
 
 
 def test_check_prints_a_table_and_what_is_too_much(fleet: Path) -> None:
@@ -85,26 +85,26 @@ def test_check_prints_a_table_and_what_is_too_much(fleet: Path) -> None:
         '[[device]]\nname = "slow"\nurl = "rtu:///dev/nowhere?baudrate=1200"\ninterval = 0.05\n'
     )
     fleet.write_text(text)
-    done = run("poll", fleet, "--check")
-    head, *rows = done.out.splitlines()
+    result = run("poll", fleet, "--check")
+    head, *rows = result.out.splitlines()
     assert head.split() == ["device", "url", "unit", "requests", "took", "interval", "result"]
-    found = {row.split()[0]: row for row in rows}
-    assert found.keys() == {"one", "two", "gone", "slow"}
-    assert found["one"].endswith(" ok")
-    assert "Connection refused" in found["gone"]
+    rows_of = {row.split()[0]: row for row in rows}
+    assert rows_of.keys() == {"one", "two", "gone", "slow"}
+    assert rows_of["one"].endswith(" ok")
+    assert "Connection refused" in rows_of["gone"]
     # 8 bytes of request, 9 of answer, twice 3.5 characters of silence; 11 bits each.
-    assert done.err.splitlines() == [
+    assert result.err.splitlines() == [
         "libmodbus-py: line rtu:///dev/nowhere at 1200: 0.22 s of requests each 0.05 s",
         "libmodbus-py: 2 of 4 devices failed, or had bad points",
     ]
-    assert done.code == 1
+    assert result.code == 1
 
 
 def test_all_mistakes_in_devices_are_printed(fleet: Path) -> None:
     fleet.write_text(fleet.read_text() + "unit = 300\n" + '[[device]]\nname = "a"\nurl = "x:"\n')
-    done = run("poll", fleet)
-    first, second = done.err.splitlines()
-    assert (done.code, done.out) == (2, "")
+    result = run("poll", fleet)
+    first, second = result.err.splitlines()
+    assert (result.code, result.out) == (2, "")
     assert "device[2].unit " in first
     assert "device[3].url: " in second
 
@@ -113,9 +113,9 @@ def test_it_is_said_how_a_list_of_devices_was_read(fleet: Path) -> None:
     rows = "Geräte;\nname;url\ndrei;tcp://127.0.0.1:1\n"
     (fleet.parent / "list.csv").write_bytes(rows.encode("cp1252"))
     fleet.write_text('devices = "list.csv"\nencoding = "cp1252"\n' + fleet.read_text())
-    said = run("poll", fleet, "--check").err.splitlines()
-    assert "list.csv: read as cp1252" in said[0]
-    assert said[1].endswith("list.csv: rows above the headings that are skipped: 1")
+    lines = run("poll", fleet, "--check").err.splitlines()
+    assert "list.csv: read as cp1252" in lines[0]
+    assert lines[1].endswith("list.csv: rows above the headings that are skipped: 1")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -183,10 +183,10 @@ def test_it_restores_the_signal_handlers_of_a_program(fleet: Path, monkeypatch, 
         raise AssertionError(f"nobody sends signal {number}")
 
     before = {number: signal.signal(number, own_handler) for number in numbers}
-    done = run("poll", fleet, *mode, "--json", fleet.with_name("readings.json"))
-    assert done.code == (mode == ["--once"])  # one device does not answer
-    found = [signal.signal(number, handler) for number, handler in before.items()]
-    assert found == [own_handler] * 3
+    result = run("poll", fleet, *mode, "--json", fleet.with_name("readings.json"))
+    assert result.code == (mode == ["--once"])  # one device does not answer
+    handlers = [signal.signal(number, handler) for number, handler in before.items()]
+    assert handlers == [own_handler] * 3
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == set()
 
 
@@ -206,15 +206,15 @@ def test_each_reason_to_wait_for_the_engine_is_logged_once(monkeypatch, caplog) 
 @pytest.mark.parametrize("form", ["--json", "--csv"])
 def test_a_full_disk_is_one_line(fleet: Path, form: str) -> None:
     with open("/dev/full", "w") as full:
-        done = ended("poll", fleet, form, stdout=full.fileno())
-    assert done.code == 1
-    assert done.err == "libmodbus-py: standard output: No space left on device\n"
+        result = ended("poll", fleet, form, stdout=full.fileno())
+    assert result.code == 1
+    assert result.err == "libmodbus-py: standard output: No space left on device\n"
 
 
 def test_files_and_metrics(fleet: Path) -> None:
     pytest.importorskip("prometheus_client")
     rows = fleet.parent / "readings.csv"
-    wanted = (
+    samples = (
         "modbus_fleet_up 2.0",
         'modbus_fleet_device_up{device="one",site="here"} 1.0',
         'modbus_fleet_device_up{device="gone"} 0.0',
@@ -223,12 +223,12 @@ def test_files_and_metrics(fleet: Path) -> None:
         'modbus_fleet_value{device="two",name="voltage",unit="V"} 230.5',
     )
     with started(fleet, "--csv", rows, "--metrics", "127.0.0.1:0") as polling:
-        told = polling.stderr.readline()
-        assert told.startswith("metrics on http://127.0.0.1:")
-        url = told.split()[-1]
+        message = polling.stderr.readline()
+        assert message.startswith("metrics on http://127.0.0.1:")
+        url = message.split()[-1]
         end = time.monotonic() + LONGEST
         metrics = ""
-        while not all(each in metrics for each in wanted):
+        while not all(each in metrics for each in samples):
             assert time.monotonic() < end
             time.sleep(0.05)
             with urllib.request.urlopen(url, timeout=LONGEST) as page:
@@ -248,12 +248,12 @@ def test_files_and_metrics(fleet: Path) -> None:
 def test_a_status_line_on_a_terminal(fleet: Path, term: str, options: list[str]) -> None:
     command = ("poll", fleet, "--csv", "/nowhere/at/all", *options)
     with on_terminal(*command, columns=200, environment={"TERM": term}) as terminal:
-        terminal.until(lambda shown: "2 of 3 devices up; 1 of 3 devices down (gone)" in shown)
-        terminal.until(lambda shown: "; output csv /nowhere/at/all fails; " in shown)
+        terminal.until(lambda text: "2 of 3 devices up; 1 of 3 devices down (gone)" in text)
+        terminal.until(lambda text: "; output csv /nowhere/at/all fails; " in text)
         terminal.process.send_signal(signal.SIGINT)
-        seen = terminal.read_to_end()
-    assert " polls a second, at most " in seen
-    assert '"device"' not in seen  # values are for files and pipes
+        output = terminal.read_to_end()
+    assert " polls a second, at most " in output
+    assert '"device"' not in output  # values are for files and pipes
 
 
 def with_journal(fleet: Path) -> Path:
@@ -273,8 +273,8 @@ def test_a_journal_is_told_of_at_the_end_and_used_by_one_program(fleet: Path) ->
         process.terminate()
         _, err = process.communicate()
     assert process.returncode == 0, err
-    told = r"^journal: \d+ written, 0 dropped, 0\.\d MB$"
-    assert re.search(told, err, re.MULTILINE), err
+    summary = r"^journal: \d+ written, 0 dropped, 0\.\d MB$"
+    assert re.search(summary, err, re.MULTILINE), err
     # The standard output has the readings of this run only.
     code, out, _ = ended("poll", file, "--once", "--json")
     assert code == 1  # one device does not answer
@@ -282,19 +282,19 @@ def test_a_journal_is_told_of_at_the_end_and_used_by_one_program(fleet: Path) ->
 
 
 @each_case(
-    ("journal", "path", "said"),
+    ("journal", "path", "message"),
     [
         ("", "readings.jsonl", ""),
         ("", "/nowhere/at/all", "/all: 0 written, 1 dropped: /nowhere/at/all: No such file"),
         ("journal = 'kept.db'\n", "/nowhere/at/all", "0 dropped, 1 wait in the journal: /nowhere"),
     ],
 )
-def test_an_output_that_takes_nothing_is_named(tmp_path_factory, journal, path, said) -> None:
+def test_an_output_that_takes_nothing_is_named(tmp_path_factory, journal, path, message) -> None:
     folder = tmp_path_factory.mktemp("once")
     with ServerMaker() as maker:
         (folder / "fleet.toml").write_text(journal + FLEET_OF_ONE.format(url=maker().url))
-        done = ended("poll", folder / "fleet.toml", "--once", f"--json={folder / path}", "--csv")
-    assert done.code == bool(said)
-    assert said in done.err
-    assert bool(done.err) == bool(said)
-    assert done.out.count("\n") == 2  # the other output got all
+        result = ended("poll", folder / "fleet.toml", "--once", f"--json={folder / path}", "--csv")
+    assert result.code == bool(message)
+    assert message in result.err
+    assert bool(result.err) == bool(message)
+    assert result.out.count("\n") == 2  # the other output got all
