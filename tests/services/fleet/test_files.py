@@ -147,14 +147,14 @@ def test_the_example_of_the_source_tree_can_be_loaded(monkeypatch: pytest.Monkey
 
 def test_the_example_of_the_source_tree_has_every_key() -> None:
     text = EXAMPLE.read_text()
-    given = tomllib.loads(re.sub(r"(?m)^# (?=\w+ = )", "", text))  # also what is commented out
-    assert set(FILE) == set(given)
-    assert set(ENGINE) == set(given["engine"])
-    assert set(TABLE) == {key for table in [given["defaults"], *given["device"]] for key in table}
+    file = tomllib.loads(re.sub(r"(?m)^# (?=\w+ = )", "", text))  # also what is commented out
+    assert set(FILE) == set(file)
+    assert set(ENGINE) == set(file["engine"])
+    assert set(TABLE) == {key for table in [file["defaults"], *file["device"]] for key in table}
     for kind in KINDS:
-        tables = given["output"][kind]
-        found = {key for each in ([tables] if isinstance(tables, dict) else tables) for key in each}
-        assert found >= set(output_keys(kind)) - {"buffer"}, kind
+        tables = file["output"][kind]
+        keys = {key for each in ([tables] if isinstance(tables, dict) else tables) for key in each}
+        assert keys >= set(output_keys(kind)) - {"buffer"}, kind
     assert "buffer = " in text  # all kinds have it
     for secret in SECRET:
         assert f"or {secret}_file = " in text
@@ -187,7 +187,7 @@ SPREADSHEET = "Geräte 2026;;;\n\nname;url;map;interval;labels.site\na;tcp://h;m
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "message"),
     [
         (SPREADSHEET.encode(), []),
         (SPREADSHEET.encode("cp1252"), ["read as cp1252"]),
@@ -196,14 +196,14 @@ SPREADSHEET = "Geräte 2026;;;\n\nname;url;map;interval;labels.site\na;tcp://h;m
     ],
     ids=["UTF-8", "cp1252", "UTF-16", "sep"],
 )
-def test_a_list_of_devices_is_read_as_spreadsheets_save_it(tmp_path, data, said) -> None:
-    encoding = 'encoding = "cp1252"\n' if "read as cp1252" in said else ""
+def test_a_list_of_devices_is_read_as_spreadsheets_save_it(tmp_path, data, message) -> None:
+    encoding = 'encoding = "cp1252"\n' if "read as cp1252" in message else ""
     path = written(tmp_path, f'{encoding}devices = "more.csv"')
     (tmp_path / "more.csv").write_bytes(data)
     file = load(path)
     (device,) = file.devices
     assert (device.interval, device.labels) == (1.5, {"site": "Köln"})
-    notes = [*said, "rows above the headings that are skipped: 1"]
+    notes = [*message, "rows above the headings that are skipped: 1"]
     assert file.notes == tuple(f"{tmp_path / 'more.csv'}: {each}" for each in notes)
 
 
@@ -228,11 +228,11 @@ def test_all_mistakes_in_devices_are_found_at_once(tmp_path: Path) -> None:
     path = written(tmp_path, f"devices = 'more.csv'\n{table}", rows)
     with pytest.raises(FleetFileError) as caught:
         load(path)
-    found = [str(each) for each in (caught.value, *caught.value.others)]
-    wanted = ["device[0].unit", "line 3, column unit", "line 4, column url", "line 5, column name"]
-    for said, text in zip(wanted, found, strict=True):
+    messages = [str(each) for each in (caught.value, *caught.value.others)]
+    places = ["device[0].unit", "line 3, column unit", "line 4, column url", "line 5, column name"]
+    for place, text in zip(places, messages, strict=True):
         assert text.startswith(f"{path}, line ")
-        assert said in text
+        assert place in text
 
 
 def test_an_error_has_no_more_than_a_page_of_mistakes(tmp_path: Path) -> None:
@@ -245,8 +245,8 @@ def test_an_error_has_no_more_than_a_page_of_mistakes(tmp_path: Path) -> None:
 @pytest.mark.parametrize("where", ["[[device]]", "[defaults]"])
 def test_columns_of_a_map_are_named(tmp_path: Path, where: str) -> None:
     points = MAP.replace("name,", "Mesure,", 1)
-    named = "columns = {name = 'Mesure'}\n"
-    fleet = SIMPLE + named if where == "[[device]]" else f"[defaults]\n{named}{SIMPLE}"
+    option = "columns = {name = 'Mesure'}\n"
+    fleet = SIMPLE + option if where == "[[device]]" else f"[defaults]\n{option}{SIMPLE}"
     (device,) = load(written(tmp_path, fleet, points=points)).devices
     assert "voltage" in device.map
     with pytest.raises(FleetFileError, match="no column name"):

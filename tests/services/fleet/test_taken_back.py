@@ -43,8 +43,8 @@ async def test_of_a_device_that_stays_only_points_that_are_gone_are_taken_back()
         fleet.replace([meter("a", peer.url, items=("power",), interval=0.2)])
         polls = fleet.statistics.polls
         await until(lambda: fleet.statistics.polls > polls + 1)
-        gone = [each.name for each in readings if each.quality == "offline"]
-        assert gone == ["voltage", "setpoint"]
+        names = [each.name for each in readings if each.quality == "offline"]
+        assert names == ["voltage", "setpoint"]
         assert readings[-1][2:6] == ("power", 7, "W", "good")
 
 
@@ -91,8 +91,8 @@ async def test_values_that_were_taken_back_are_reported_again_though_they_did_no
             fleet.take_back()
             fleet.take_back()
             assert fleet.statistics.up == 0
-            held = fleet.statistics.held
-            await until(lambda: fleet.statistics.held > held + 3)
+            skips = fleet.statistics.held
+            await until(lambda: fleet.statistics.held > skips + 3)
             assert offline(readings, "a") == OFFLINE
             may_ask = True
             await until(lambda: len(readings) == 9)

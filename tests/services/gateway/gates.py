@@ -50,8 +50,8 @@ class Gate:
 
     def open(self) -> None:
         self._is_open = True
-        held, self._held = self._held, []
-        for request, write in held:
+        answers, self._held = self._held, []
+        for request, write in answers:
             self._answer(request, write)
 
     def _take(self, request: bytes, write: Write) -> None:
@@ -71,10 +71,11 @@ class Gate:
 def gated(stage: Stage, route: dict[str, Any] | None = None, **options: Any) -> Iterator[Gated]:
     """A gateway before a gate, with its line and where clients find it."""
     gate = Gate(stage)
-    made = Gateway([Route(f"{LINE}?timeout=1000", **(route or {}))], longest_wait=5000, **options)
-    with made.background("tcp://10.0.0.1:0") as running:
-        (line,) = made.traffic.lines.values()
-        yield Gated(gate, line, running.urls[0], made)
+    routes = [Route(f"{LINE}?timeout=1000", **(route or {}))]
+    gateway_ = Gateway(routes, longest_wait=5000, **options)
+    with gateway_.background("tcp://10.0.0.1:0") as running:
+        (line,) = gateway_.traffic.lines.values()
+        yield Gated(gate, line, running.urls[0], gateway_)
 
 
 class Gated(NamedTuple):
@@ -92,9 +93,9 @@ def numbered(number: int) -> Device:
 
 @contextlib.contextmanager
 def gateway(routes: list[Route], *urls: str, **options: Any) -> Iterator[tuple[Gateway, str]]:
-    made = Gateway(routes, **options)
-    with made.background(*(urls or ("tcp://127.0.0.1:0",))) as running:
-        yield made, running.urls[0]
+    gateway_ = Gateway(routes, **options)
+    with gateway_.background(*(urls or ("tcp://127.0.0.1:0",))) as running:
+        yield gateway_, running.urls[0]
 
 
 READ, WRITE, UNKNOWN = "03 0000 0001", "06 0000 0007", "08 0000 0001"
@@ -173,8 +174,8 @@ class Plant:
     def ask(
         self, unit: int, asker: Asker, request: str = READ, *, merge: bool = False, age: float = 0
     ) -> Forwarded:
-        given = request_of(bytes.fromhex(request))
-        each = Forwarded(asker, 1, unit, unit, given, self.network.events.now, age)
+        pdu = request_of(bytes.fromhex(request))
+        each = Forwarded(asker, 1, unit, unit, pdu, self.network.events.now, age)
         if code := self.line.put(each, merge=merge):
             asker.answers.append(f"code {code}")
         return each
@@ -188,11 +189,11 @@ class Plant:
         return self.line.statistics.unit
 
 
-def on_line(*given: str, **options: Any) -> Callable[[Any], Any]:
+def on_line(*urls: str, **options: Any) -> Callable[[Any], Any]:
     """Let a test run on a plant, its first argument, in simulated time."""
 
     def run(test: Callable[[Plant], Awaitable[None]]) -> None:
-        plant = Plant(*given, **options)
+        plant = Plant(*urls, **options)
         plant.run(lambda: test(plant))
 
     return giving(run)

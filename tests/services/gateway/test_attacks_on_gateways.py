@@ -32,8 +32,9 @@ def test_an_innocent_client_waits_for_few_of_the_others(stage: Stage, attack: At
     """Counted in requests to the device: a refused one costs it nothing."""
     device = Server({UNIT: Device(Mapping(holding_registers=2000))})
     with device.background("tcp://10.0.0.9:0") as behind:
-        made = Gateway([Route(f"{behind.urls[0]}?timeout=5")], limits=Limits(max_connections=1500))
-        with made.background("tcp://10.0.0.1:0") as running:
+        routes = [Route(f"{behind.urls[0]}?timeout=5")]
+        gateway = Gateway(routes, limits=Limits(max_connections=1500))
+        with gateway.background("tcp://10.0.0.1:0") as running:
             client = stage.talk(running.urls[0])
             innocent = Innocent(stage, client, lambda: device.statistics.requests)
             assert innocent.poll(3).others == [0] * 3
@@ -42,9 +43,9 @@ def test_an_innocent_client_waits_for_few_of_the_others(stage: Stage, attack: At
                 waited = innocent.poll(3, among=attackers)
             # Each host has one turn; what is in flight when it comes, and sent next, goes before.
             assert max(waited.others) <= 2 + attack.connections
-            assert stage.until(lambda: made.statistics.connections == 1)
+            assert stage.until(lambda: gateway.statistics.connections == 1)
             assert innocent.poll(3).others == [0] * 3
-            (line,) = made.traffic.lines.values()
+            (line,) = gateway.traffic.lines.values()
             assert line.waiting == line.in_flight == 0
 
 
@@ -67,16 +68,16 @@ def test_a_device_that_says_anything_has_nothing_of_it_passed_on(stage: Stage, w
         write(ANYTHING[what](request) if is_second else request[:2] + b"\0\0\0\5\1\3\2\0\7")
 
     device = Scripted(stage, "tcp://10.0.0.9:0", answer)
-    made = Gateway([Route(f"{device.url}?timeout=3&max_pause=1")])
+    gateway = Gateway([Route(f"{device.url}?timeout=3&max_pause=1")])
     with (
-        made.background("tcp://10.0.0.1:0") as running,
+        gateway.background("tcp://10.0.0.1:0") as running,
         Client(running.urls[0], unit=1, timeout=50) as context,
     ):
         assert context.read_holding_registers(0, 1) == [7]
-        asked = stage.now
+        start = stage.now
         with pytest.raises(GatewayTargetFailedToRespond):
             context.read_holding_registers(0, 1)
-        assert stage.now - asked <= 3.01
+        assert stage.now - start <= 3.01
 
         def answers_again() -> bool:
             try:

@@ -29,7 +29,7 @@ def test_a_broadcast_reaches_every_unit_of_every_line(stage: Stage, front: str) 
         Server({1: devices[0], 2: devices[1]}).background(first),
         Server({3: devices[2], 4: devices[3]}).background(second),
         gateway([Route(first, "1-2"), Route(second, "3-4")], f"{front}://10.0.0.1:0") as (
-            made,
+            gateway_,
             url,
         ),
         Client(url, unit=0, timeout=5) as context,
@@ -37,7 +37,7 @@ def test_a_broadcast_reaches_every_unit_of_every_line(stage: Stage, front: str) 
         context.write_registers(2, [8, 9])
         stage.pass_time(0.1)
         assert all(each.mapping.holding_registers[2:4] == [8, 9] for each in devices)
-        assert made.traffic.broadcasts == 1
+        assert gateway_.traffic.broadcasts == 1
         if front != "rtu+tcp":  # there a client knows that nobody answers
             with pytest.raises(GatewayPathUnavailable):
                 context.read_holding_registers(0, 1)
@@ -65,15 +65,15 @@ def test_a_broadcast_is_done_when_all_lines_have_sent_it(stage: Stage) -> None:
         gateway([Route(LINE, "1"), Route(f"{mute.url}?timeout=500", "2")]) as (_, url),
         Client(url, unit=0, timeout=5000) as context,
     ):
-        asked = stage.now
+        start = stage.now
         with pytest.raises(GatewayTargetFailedToRespond):
             context.write_register(0, 1)
-        assert stage.now - asked == pytest.approx(500, abs=0.1)
+        assert stage.now - start == pytest.approx(500, abs=0.1)
         assert device.mapping.holding_registers[0] == 1
         # What did not answer rests.
         with pytest.raises(GatewayTargetFailedToRespond):
             context.write_register(0, 2)
-        assert stage.now - asked == pytest.approx(500, abs=0.2)
+        assert stage.now - start == pytest.approx(500, abs=0.2)
         assert device.mapping.holding_registers[0] == 2
 
 
@@ -99,21 +99,21 @@ def test_the_rules_of_all_routes_of_a_line_hold_for_a_broadcast(stage: Stage) ->
     for order in (routes, routes[::-1]):
         with (
             Server({1: devices[0], 2: devices[1]}).background(LINE),
-            gateway(order) as (made, url),
+            gateway(order) as (gateway_, url),
             Client(url, unit=0, timeout=5) as context,
         ):
             with pytest.raises(IllegalFunction):
                 context.write_register(0, 7)
             stage.pass_time(1)
             assert [each.mapping.holding_registers[0] for each in devices] == [0, 0]
-            assert made.traffic.broadcasts == 0
+            assert gateway_.traffic.broadcasts == 0
 
 
 def test_a_broadcast_does_not_go_back_to_the_machine_that_sent_it(stage: Stage) -> None:
     """Two gateways that lead to each other would send it for ever."""
     device = small()
-    sent: list[bytes] = []
-    other = Scripted(stage, "tcp://10.0.0.9:0", lambda request, write: sent.append(request))
+    writes: list[bytes] = []
+    other = Scripted(stage, "tcp://10.0.0.9:0", lambda request, write: writes.append(request))
     with (
         Server({1: device}).background(LINE),
         gateway([Route(LINE, "1"), Route(other.url, "2")], "tcp://10.0.0.1:0") as (_, url),
@@ -124,7 +124,7 @@ def test_a_broadcast_does_not_go_back_to_the_machine_that_sent_it(stage: Stage) 
         assert gateway_there.receive(len(write)) == write
         stage.pass_time(1)
         assert device.mapping.holding_registers[0] == 7
-        assert sent == []
+        assert writes == []
 
 
 @contextlib.contextmanager
@@ -187,7 +187,7 @@ def test_a_broadcast_may_be_repeated_by_its_client_and_by_others_after_a_second(
     other_write = write[:-1] + b"\x08"
     with (
         Server({1: small()}).background(LINE),
-        gateway([Route(LINE, "1")], "tcp://10.0.0.1:0") as (made, url),
+        gateway([Route(LINE, "1")], "tcp://10.0.0.1:0") as (gateway_, url),
         stage.talk(url) as client,
         stage.talk(url) as other,
     ):
@@ -201,4 +201,4 @@ def test_a_broadcast_may_be_repeated_by_its_client_and_by_others_after_a_second(
         stage.pass_time(1.1)
         other.sendall(write)
         assert other.receive(len(write)) == write
-        assert made.traffic.broadcasts == 5
+        assert gateway_.traffic.broadcasts == 5

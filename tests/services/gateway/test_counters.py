@@ -37,15 +37,15 @@ class Case(NamedTuple):
     together: bool = False
 
 
-def refusing(asked: Asked) -> None:
-    raise IllegalDataAddress("not here", function=asked.function)
+def refusing(request: Asked) -> None:
+    raise IllegalDataAddress("not here", function=request.function)
 
 
-def failing(asked: Asked) -> None:
+def failing(request: Asked) -> None:
     raise ZeroDivisionError
 
 
-def no(asked: Asked) -> bool:
+def no(request: Asked) -> bool:
     return False
 
 
@@ -144,18 +144,18 @@ CASES = {
 def counted(statistics: Any, *left_out: str) -> dict[str, int]:
     """Return the counters that are not 0."""
     left_out += "url", "connection", "units", "lines", "seconds", "since"
-    found = {each.name: getattr(statistics, each.name) for each in fields(statistics)}
-    return {name: value for name, value in found.items() if value and name not in left_out}
+    counts = {each.name: getattr(statistics, each.name) for each in fields(statistics)}
+    return {name: value for name, value in counts.items() if value and name not in left_out}
 
 
 def answer(request: bytes, write: Write) -> None:
     unit, body = request[0], request[1:-2]
     if unit in (0, SILENT):
         return
-    answered = bytes([3, 2, 0, 7]) if body[0] == 3 else body
+    pdu = bytes([3, 2, 0, 7]) if body[0] == 3 else body
     if unit == REFUSES:
-        answered = bytes([body[0] | 0x80, 2])
-    frame = rtu(bytes([unit, *answered]).hex())
+        pdu = bytes([body[0] | 0x80, 2])
+    frame = rtu(bytes([unit, *pdu]).hex())
     write(frame[:-1] + bytes([frame[-1] ^ (unit == DAMAGES)]), DELAY)
 
 

@@ -26,7 +26,7 @@ def test_units_go_to_their_lines_and_are_others_there(stage: Stage) -> None:
                 Route(f"{LINE}?timeout=300", "11-17", "1-7"),
                 Route(one.urls[0], [20, 21], 3),
             ]
-        ) as (made, url),
+        ) as (gateway_, url),
         Client(url, timeout=2000) as context,
     ):
 
@@ -37,12 +37,12 @@ def test_units_go_to_their_lines_and_are_others_there(stage: Stage) -> None:
         for unit in (3, 10, 18, 22, 0, 247):
             with pytest.raises(GatewayPathUnavailable):
                 ask(unit)
-        asked = stage.now
+        start = stage.now
         with pytest.raises(GatewayTargetFailedToRespond):
             ask(12)
-        assert stage.now - asked == pytest.approx(300, abs=0.1)
-        assert made.traffic.no_route == 6
-        assert len(made.traffic.lines) == 2  # those with one URL share its connection
+        assert stage.now - start == pytest.approx(300, abs=0.1)
+        assert gateway_.traffic.no_route == 6
+        assert len(gateway_.traffic.lines) == 2  # those with one URL share its connection
 
 
 def test_the_gateway_itself_is_unit_255_with_its_statistics(stage: Stage) -> None:
@@ -72,25 +72,25 @@ def test_on_a_line_the_gateway_answers_its_units_and_leaves_others_to_their_devi
     device = small()
     with (
         Server({1: small()}).background("tcp://10.0.0.9:0") as behind,
-        gateway([Route(behind.urls[0], "1")], LINE, own_units=[250]) as (made, _),
+        gateway([Route(behind.urls[0], "1")], LINE, own_units=[250]) as (gateway_, _),
         Server({7: device}).background(LINE),
         Client(LINE, unit=7) as context,
     ):
         for _ in range(2):
             context.write_register(0, 5)
         assert device.mapping.holding_registers[0] == 5
-        assert (made.traffic.requests, made.traffic.no_route) == (2, 2)
+        assert (gateway_.traffic.requests, gateway_.traffic.no_route) == (2, 2)
         for _ in range(2):
             context.for_unit(1).write_register(0, 5)
         for _ in range(2):
             with pytest.raises(IllegalDataAddress):
                 context.for_unit(250).write_register(0, 5)
-        assert (made.traffic.requests, made.traffic.no_route) == (6, 2)
+        assert (gateway_.traffic.requests, gateway_.traffic.no_route) == (6, 2)
 
 
 @pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
 def test_a_rule_that_ends_the_program_ends_it(stage: Stage, error: type[BaseException]) -> None:
-    def authorize(asked: object) -> bool:
+    def authorize(request: object) -> bool:
         raise error
 
     def ask() -> None:

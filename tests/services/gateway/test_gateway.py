@@ -20,7 +20,7 @@ def test_routes_change_and_connections_stay(stage: Stage) -> None:
     with (
         Server({n: numbered(n) for n in (1, 2)}).background("tcp://10.0.0.9:0") as one,
         Server({n: numbered(10 + n) for n in (1, 2)}).background("tcp://10.0.0.9:0") as other,
-        gateway([Route(one.urls[0], "1"), Route(other.urls[0], "2")]) as (made, url),
+        gateway([Route(one.urls[0], "1"), Route(other.urls[0], "2")]) as (gateway_, url),
         Client(url) as context,
     ):
 
@@ -28,14 +28,14 @@ def test_routes_change_and_connections_stay(stage: Stage) -> None:
             return context.for_unit(unit).read_holding_registers(0, 1)[0]
 
         assert (ask(1), ask(2)) == (1, 12)
-        connects = made.traffic.lines[one.urls[0]].connection
-        made.change_routes([Route(one.urls[0], "1-2"), Route(other.urls[0], "3", "2")])
+        connects = gateway_.traffic.lines[one.urls[0]].connection
+        gateway_.change_routes([Route(one.urls[0], "1-2"), Route(other.urls[0], "3", "2")])
         assert stage.until(lambda: ask(2) == 2)
         assert (ask(1), ask(3)) == (1, 12)
-        assert made.traffic.lines[one.urls[0]].connection is connects
+        assert gateway_.traffic.lines[one.urls[0]].connection is connects
         assert connects.connects == 1
-        made.change_routes([Route(one.urls[0], "1")])
-        assert stage.until(lambda: list(made.traffic.lines) == [one.urls[0]])
+        gateway_.change_routes([Route(one.urls[0], "1")])
+        assert stage.until(lambda: list(gateway_.traffic.lines) == [one.urls[0]])
         with pytest.raises(GatewayPathUnavailable):
             ask(3)
         for bad in (
@@ -45,7 +45,7 @@ def test_routes_change_and_connections_stay(stage: Stage) -> None:
             [],
         ):
             with pytest.raises(ValueError, match=r"route|listens|port"):
-                made.change_routes(bad)
+                gateway_.change_routes(bad)
         assert ask(1) == 1
         assert context.statistics.connects == 1
 
@@ -53,11 +53,15 @@ def test_routes_change_and_connections_stay(stage: Stage) -> None:
 @pytest.mark.parametrize("stays", [True, False])
 def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(stage: Stage, stays):
     """A line stays if its URL does, whatever else of its routes changes."""
-    with gated(stage) as (gate, _, url, made), stage.talk(url) as client, stage.talk(url) as other:
+    with (
+        gated(stage) as (gate, _, url, gateway_),
+        stage.talk(url) as client,
+        stage.talk(url) as other,
+    ):
         client.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2))
         assert stage.until(lambda: gate.asked)
         to = f"{LINE}?timeout={1000 if stays else 999}"
-        made.change_routes([Route(to, "5", "1", cache=1, merge=True)])
+        gateway_.change_routes([Route(to, "5", "1", cache=1, merge=True)])
         stage.pass_time(1)
         if stays:
             gate.open()
@@ -110,19 +114,19 @@ def test_closing_it_in_the_middle_leaves_nothing(stage: Stage) -> None:
 
 @simulated
 async def test_routes_that_change_while_it_stops_are_those_of_the_next_run() -> None:
-    made = Gateway([Route("tcp://10.0.0.9", [1])])
-    async with made.serving("tcp://10.0.0.1:502"):
-        made.change_routes([Route("tcp://10.0.0.8", [1])])
-    async with made.serving("tcp://10.0.0.1:502"):
-        assert list(made.traffic.lines) == ["tcp://10.0.0.8:502"]
+    gateway_ = Gateway([Route("tcp://10.0.0.9", [1])])
+    async with gateway_.serving("tcp://10.0.0.1:502"):
+        gateway_.change_routes([Route("tcp://10.0.0.8", [1])])
+    async with gateway_.serving("tcp://10.0.0.1:502"):
+        assert list(gateway_.traffic.lines) == ["tcp://10.0.0.8:502"]
 
 
 def test_a_gateway_can_serve_again_but_not_twice_at_once() -> None:
     with Server({1: small()}).background("tcp://127.0.0.1:0") as behind:
-        made = Gateway([Route(behind.urls[0])])
+        gateway_ = Gateway([Route(behind.urls[0])])
         for _ in range(2):
-            with made.background("tcp://127.0.0.1:0") as running:
+            with gateway_.background("tcp://127.0.0.1:0") as running:
                 with Client(running.urls[0], unit=1) as context:
                     assert context.read_holding_registers(0, 1) == [0]
-                with pytest.raises(RuntimeError), made.background("tcp://127.0.0.1:0"):
+                with pytest.raises(RuntimeError), gateway_.background("tcp://127.0.0.1:0"):
                     pass

@@ -41,9 +41,9 @@ def words(*numbers: int) -> list[int]:
 
 
 def test_the_gateway_comes_first(trial: Trial) -> None:
-    given = trial.statistics
-    given.requests, given.no_route, given.refused = 70_000, 2, 3
-    given.malformed, given.broadcasts = 2**32 + 4, 5
+    statistics = trial.statistics
+    statistics.requests, statistics.no_route, statistics.refused = 70_000, 2, 3
+    statistics.malformed, statistics.broadcasts = 2**32 + 4, 5
     trial.clients.connections, trial.clients.refused = 6, 7
     trial.clients.bad_frames = 8
     trial.lines["a"] = LineStatistics("a", Statistics())
@@ -71,10 +71,10 @@ def test_units_begin_at_1000(trial: Trial) -> None:
     unit = UnitStatistics(1, 4, 3, 5, 6, 7, 8, given_up=99, cached=9, merged=10)
     unit.seconds, unit.is_silent = 0.5, True
     trial.units = {0: unit, 1: UnitStatistics(requests=2), 255: unit}
-    told = words(1, 4, 3, 5, 6, 7, 8, 19, 125_000, 1)
-    assert trial.read(1000, 20) == told
-    assert trial.read(1019, 4) == [told[-1], *words(2), 0]
-    assert trial.read(1000 + 255 * 20, 20) == told
+    cells = words(1, 4, 3, 5, 6, 7, 8, 19, 125_000, 1)
+    assert trial.read(1000, 20) == cells
+    assert trial.read(1019, 4) == [cells[-1], *words(2), 0]
+    assert trial.read(1000 + 255 * 20, 20) == cells
     assert trial.read(1040, 20) == [0] * 20  # no unit was asked there
 
 

@@ -94,10 +94,10 @@ def test_reads_are_recorded_that_a_rule_refuses_and_no_others(stage: Stage, even
 def test_an_authorize_that_raises_is_recorded_and_answers_like_it_are_not(
     stage: Stage, events: Events
 ) -> None:
-    def authorize(asked: Asked) -> bool:
-        if asked.function == 1:
+    def authorize(request: Asked) -> bool:
+        if request.function == 1:
             raise IllegalFunction
-        if asked.function == 2:
+        if request.function == 2:
             raise ServerDeviceBusy
         return True
 

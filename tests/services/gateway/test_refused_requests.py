@@ -68,7 +68,7 @@ def test_a_cached_answer_is_refused_to_those_who_may_not_read_it(stage: Stage) -
             "rtu",
             {1: small()},
             route={"cache": 60},
-            authorize=lambda asked: asked.peer.startswith("10.0.0.2:"),
+            authorize=lambda question: question.peer.startswith("10.0.0.2:"),
             stage=stage,
         ) as through,
         stage.talk(through.url, "10.0.0.2") as one,
@@ -76,8 +76,8 @@ def test_a_cached_answer_is_refused_to_those_who_may_not_read_it(stage: Stage) -
     ):
         for client, answer in ((one, "03 02 0000"), (other, "83 01"), (one, "03 02 0000")):
             client.sendall(adu(READ_ONE))
-            expected = adu(bytes.fromhex(answer))
-            assert client.receive(len(expected)) == expected
+            adu_ = adu(bytes.fromhex(answer))
+            assert client.receive(len(adu_)) == adu_
         (line,) = through.gateway.traffic.lines.values()
         assert (line.units[1].requests, line.units[1].cached) == (1, 1)
 
@@ -92,10 +92,10 @@ def test_a_function_code_that_cannot_be_is_refused(code: int) -> None:
 @each_case("request", ["03", "03 000000", "03 0000000100", "07 00", "10 00000001 02 00"])
 def test_a_known_function_has_requests_of_its_length_only(request: str) -> None:
     """With a wrong length, everybody on a line would look for the end in vain."""
-    given = bytes.fromhex(request)
+    pdu = bytes.fromhex(request)
     with pytest.raises(IllegalDataValue) as raised:
-        request_of(given)
-    assert raised.value.function == given[0]
+        request_of(pdu)
+    assert raised.value.function == pdu[0]
 
 
 # Requests of the application protocol, sections 6.1 to 6.4, with responses.
@@ -109,20 +109,20 @@ RESPONSES = [
 
 @each_case("request, response", RESPONSES)
 def test_a_response_to_a_read_is_passed_on_if_its_length_fits(request: str, response: str) -> None:
-    asked, good = request_of(bytes.fromhex(request)), bytes.fromhex(response)
-    assert asked.decode_response(good) == good
+    request_, good = request_of(bytes.fromhex(request)), bytes.fromhex(response)
+    assert request_.decode_response(good) == good
     bad = [b"", good[:-1], good + b"\0", bytes([good[0] ^ 7]) + good[1:], good[:2]]
     bad += [good[:1] + bytes([good[1] - 1]) + rest for rest in (good[2:], good[2:-1])]
     for response_pdu in bad:
         with pytest.raises(InvalidResponse):
-            asked.decode_response(response_pdu)
+            request_.decode_response(response_pdu)
     with pytest.raises(ExceptionResponse):
-        asked.decode_response(bytes([good[0] | 0x80, 2]))
+        request_.decode_response(bytes([good[0] | 0x80, 2]))
 
 
 @each_case("request", ["05 0001 FF00", "06 0001 0007", "10 0001 0001 02 0007", "16 0001 FFFF 0000"])
 def test_bytes_behind_an_echo_are_not_forwarded(request: str) -> None:
     """On a line they would have a wrong CRC."""
-    asked = bytes.fromhex(request)
-    echo = asked[: 7 if asked[0] == 0x16 else 5]
-    assert request_of(asked).decode_response(echo + b"\6") == echo
+    request_ = bytes.fromhex(request)
+    echo = request_[: 7 if request_[0] == 0x16 else 5]
+    assert request_of(request_).decode_response(echo + b"\6") == echo

@@ -81,11 +81,11 @@ def test_functions_that_nobody_knows_go_through_as_bytes(stage: Stage) -> None:
 
 def test_over_tls_roles_are_asked(tmp_path: Path) -> None:
     pki = Pki(tmp_path)
-    seen: list[object] = []
+    calls: list[object] = []
 
-    def authorize(asked: object) -> bool:
-        seen.append(asked)
-        return asked.role == "Operator"  # type: ignore[attr-defined]
+    def authorize(request: object) -> bool:
+        calls.append(request)
+        return request.role == "Operator"  # type: ignore[attr-defined]
 
     with (
         Server({1: small()}).background("tcp://127.0.0.1:0") as behind,
@@ -102,8 +102,8 @@ def test_over_tls_roles_are_asked(tmp_path: Path) -> None:
                     continue
                 with pytest.raises(IllegalFunction):
                     context.write_register(3, 5)
-    assert seen[0].writes == (Access("holding_registers", 3, 1, (4,), 0, 1, *_who(seen[0])),)  # type: ignore[attr-defined]
+    assert calls[0].writes == (Access("holding_registers", 3, 1, (4,), 0, 1, *_who(calls[0])),)  # type: ignore[attr-defined]
 
 
-def _who(asked: Any) -> tuple[str, str | None]:
-    return asked.peer, asked.role
+def _who(request: Any) -> tuple[str, str | None]:
+    return request.peer, request.role

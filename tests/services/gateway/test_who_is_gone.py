@@ -44,13 +44,13 @@ def test_a_request_that_waits_for_the_connection_is_not_sent(url: str) -> None:
     plant = mute(url, f"timeout=5&connect_delay={CONNECT_DELAY}")
 
     async def main() -> None:
-        asked = [
+        requests = [
             plant.ask(1, Asker(), WRITE),
             plant.ask(2, Asker(), merge=True),
             plant.ask(2, Asker(), merge=True),
         ]
         await asyncio.sleep(CONNECT_DELAY / 2)
-        for each in asked:
+        for each in requests:
             plant.line.leave(each)
         assert plant.line.statistics.in_flight == 0
         await asyncio.sleep(2 * CONNECT_DELAY)
@@ -67,9 +67,9 @@ def test_a_request_without_an_answer_is_not_sent_again(url: str) -> None:
     plant = mute(url, "timeout=0.5&retries=3")
 
     async def main() -> None:
-        gone = plant.ask(1, Asker())
+        request = plant.ask(1, Asker())
         await asyncio.sleep(0.1)
-        plant.line.leave(gone)
+        plant.line.leave(request)
         await asyncio.sleep(5)
         assert len(plant.peer.requests) == 1
 
@@ -176,10 +176,10 @@ async def test_a_write_that_tries_a_unit_makes_way_for_others(plant: Plant) -> N
     for _ in range(3):
         plant.ask(1, Asker())
         await asyncio.sleep(0.1)
-    tried, other = Asker(), Asker()
-    plant.ask(9, tried, WRITE)
+    writer, other = Asker(), Asker()
+    plant.ask(9, writer, WRITE)
     plant.ask(1, other)
     await asyncio.sleep(3 * plant.delay)
-    assert tried.answers == [f"86{NO_ANSWER:02x}"]
+    assert writer.answers == [f"86{NO_ANSWER:02x}"]
     assert other.answers == [answer_of(1, 6)]
     assert plant.unit(9).given_up == 1

@@ -39,8 +39,8 @@ def record_of(trial: Trial) -> dict[str, Any]:
     """Return the record that the worker wrote last."""
     latest = trial.engine.latest or {}
     (value,) = [each.value for key, each in latest.items() if key.startswith("worker.")]
-    found: dict[str, Any] = json.loads(value or b"")
-    return found
+    record: dict[str, Any] = json.loads(value or b"")
+    return record
 
 
 @tried(2)
@@ -149,12 +149,12 @@ async def test_an_engine_that_is_gone_is_told_once_a_minute_and_the_lease_when_i
         return [each.message for each in caplog.records if "workers" in each.name]
 
     trial.engine.stop()
-    gone = "the engine: modbus-fleet: no server responds"
-    ended = "a: the lease has expired: NATS does not respond"
+    failure = "the engine: modbus-fleet: no server responds"
+    expiry = "a: the lease has expired: NATS does not respond"
     await asyncio.sleep(REPORT_AGAIN_S - 15.0)
-    assert sorted(told()) == [ended, gone]
+    assert sorted(told()) == [expiry, failure]
     await asyncio.sleep(25.0)
-    assert told().count(gone) == 2
+    assert told().count(failure) == 2
     trial.engine.start()
     await trial.settle()
     assert told()[-1] == "a: the lease is valid again"
@@ -163,8 +163,8 @@ async def test_an_engine_that_is_gone_is_told_once_a_minute_and_the_lease_when_i
 @tried(1)
 async def test_an_unreadable_record_is_logged_and_polled_by_no_worker(trial: Trial, caplog) -> None:
     def connection(host: int, *names: str, devices: str = "") -> Connection:
-        made = [DeviceConfig(each, f"tcp://10.0.1.{host}", MAP) for each in names]
-        return Connection("", f"tcp:10.0.1.{host}:502", 0.5, devices or devices_to_json(made))
+        devices_ = [DeviceConfig(each, f"tcp://10.0.1.{host}", MAP) for each in names]
+        return Connection("", f"tcp:10.0.1.{host}:502", 0.5, devices or devices_to_json(devices_))
 
     bad = [
         connection(1, devices='{"devices": [{"name": "pump"}]}'),
@@ -178,5 +178,5 @@ async def test_an_unreadable_record_is_logged_and_polled_by_no_worker(trial: Tri
     await trial.start("a")
     await trial.settle()
     assert sorted(trial.workers["a"].polling.fleet.devices) == ["d0-1", "d0-2", "fan", "valve"]
-    told = sorted(text[: text.find(": ", 12)] for text in caplog.messages)
-    assert told == sorted([f"the bucket: {key}" for key in wrong] + [each.key for each in bad])
+    messages = sorted(text[: text.find(": ", 12)] for text in caplog.messages)
+    assert messages == sorted([f"the bucket: {key}" for key in wrong] + [each.key for each in bad])

@@ -26,8 +26,8 @@ LINE = "serial:/dev/ttyUSB0"
 DIGEST = digest_of(LINE)
 
 
-def value(**given: Any) -> bytes:
-    return json.dumps(given).encode()
+def value(**keys: Any) -> bytes:
+    return json.dumps(keys).encode()
 
 
 def line(connection: str = LINE, timeout: float = 1) -> bytes:

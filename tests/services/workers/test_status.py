@@ -65,9 +65,9 @@ def seen(network: Network, engine: Engine, report: Any = REPORT) -> dict[str, An
         client = engine.client()
         looking = asyncio.create_task(fleet_status(engine.bucket(client)))
         await asyncio.sleep(1.0)
-        told = member("alive.1", beat=2, report=report)
+        record = member("alive.1", beat=2, report=report)
         # Others may write a NaN, which this package refuses to write.
-        engine.write(told.bucket_key, told.encode().replace(b'"NaN"', b"NaN"))
+        engine.write(record.bucket_key, record.encode().replace(b'"NaN"', b"NaN"))
         try:
             return await looking
         finally:
@@ -151,13 +151,13 @@ def test_numbers_of_a_report_that_are_none_count_as_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "message"),
     [
         (None, "there is no fleet yet; put it there with --push"),
         (b'{"format": 99}', "settings: format 99 is not supported; this version reads format 1"),
     ],
 )
-def test_a_bucket_without_a_fleet(settings: bytes | None, said: str) -> None:
+def test_a_bucket_without_a_fleet(settings: bytes | None, message: str) -> None:
     with pytest.raises(EngineError) as refused:
         seen(*empty(settings))
-    assert str(refused.value) == f"modbus-fleet: {said}"
+    assert str(refused.value) == f"modbus-fleet: {message}"

@@ -46,10 +46,10 @@ class Asked:
         self._now = now
         self._followed: dict[tuple[str, int], set[str]] = {}
 
-    def note(self, traced: Traced) -> None:
-        if traced.direction != "received":
+    def note(self, event: Traced) -> None:
+        if event.direction != "received":
             return
-        now, device, asking = self._now(), (traced.endpoint, traced.unit or 0), traced.peer or ""
+        now, device, asking = self._now(), (event.endpoint, event.unit or 0), event.peer or ""
         before, peer = self.last.get(device, (now, asking))
         self.gap = max(self.gap, now - before)
         followed = self._followed.setdefault(device, set())
@@ -73,11 +73,11 @@ class Asked:
 
     def hosts(self) -> dict[str, int]:
         """Return how many devices each worker asked last, by its host."""
-        found: dict[str, int] = {}
+        counts: dict[str, int] = {}
         for _, peer in self.last.values():
             host = peer.rpartition(":")[0]
-            found[host] = found.get(host, 0) + 1
-        return found
+            counts[host] = counts.get(host, 0) + 1
+        return counts
 
 
 class _Told(Output):

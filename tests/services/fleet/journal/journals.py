@@ -42,11 +42,11 @@ def readings(device: str = "a", time: float = 100.0, count: int = 2) -> list[Rea
 
 def polls(first: int, count: int, size: int = 2, time: float = 100.0) -> list[JournalPoll]:
     """Polls with ids from `first` on, one each second."""
-    told: list[JournalPoll] = []
+    batches: list[JournalPoll] = []
     for at in range(count):
         [poll] = numbered(readings("a", time + at, size), first + at * size)
-        told.append(poll)
-    return told
+        batches.append(poll)
+    return batches
 
 
 def asked(path: str, sql: str) -> list[tuple[Any, ...]]:

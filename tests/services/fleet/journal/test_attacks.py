@@ -58,18 +58,18 @@ def test_a_program_may_be_killed_at_each_step_of_a_transaction(path: str, tmp_pa
     file._used.set_trace_callback(None)
     file.close()
     assert len(copies) > 30
-    found = set()
+    states = set()
     for each in copies:
         again = JournalFile(str(each), 1e10, 10**9)
-        begun = again.open(["a"])
-        confirmed, _ = begun.places["a"]
+        contents = again.open(["a"])
+        confirmed, _ = contents.places["a"]
         again.write_polls([], {"a": confirmed}, 0)
         again.close()
         ids = in_journal(str(each))
         assert ids == [*range(1, len(ids) + 1)]
-        assert confirmed <= len(ids) < begun.first
-        found.add((len(ids), confirmed))
-    assert found == {(0, 0), (20, 0), (40, 20), (60, 40)}
+        assert confirmed <= len(ids) < contents.first
+        states.add((len(ids), confirmed))
+    assert states == {(0, 0), (20, 0), (40, 20), (60, 40)}
 
 
 def test_a_defect_while_a_journal_closes_lets_others_use_the_file(
@@ -173,9 +173,9 @@ async def test_a_poll_that_is_killed_loses_nothing_that_was_journalled(tmp_path:
             process.send_signal(signal.SIGTERM)
             assert await asyncio.to_thread(process.wait) == 0
     arrived, journal = polls.in_file(), polls.in_journal()
-    found = Found(journal, confirmed(polls), arrived)
-    assert found.lost == 0
-    assert found.repeated <= KILLS * (MOST_OF_JOURNAL + 10)
+    result = Found(journal, confirmed(polls), arrived)
+    assert result.lost == 0
+    assert result.repeated <= KILLS * (MOST_OF_JOURNAL + 10)
     assert confirmed(polls) == journal[-1]
 
 
@@ -204,14 +204,14 @@ def test_a_journal_that_was_deleted_is_replaced(path: str, endings, caplog) -> N
         await until(lambda: fleet.statistics.outputs["away"].waiting == 0)
 
     fleet = run_for(path, 100, broker, away, change=lose)
-    kept = in_journal(path)
-    assert kept == broker.ids[-len(kept) :]
-    assert 15 <= len(kept) < len(broker.ids)
+    rows = in_journal(path)
+    assert rows == broker.ids[-len(rows) :]
+    assert 15 <= len(rows) < len(broker.ids)
     # What was behind the last entry in memory is delivered, too.
     assert away.ids == broker.ids
     assert journal_of(fleet).dropped == 0
-    told = f"{path}: was deleted or replaced while it was in use; a new journal begins"
-    assert caplog.text.count(told) == 1
+    message = f"{path}: was deleted or replaced while it was in use; a new journal begins"
+    assert caplog.text.count(message) == 1
 
 
 @pytest.mark.usefixtures("inline")
@@ -243,8 +243,8 @@ def test_another_file_in_its_place_is_kept(path: str, tmp_path: Path) -> None:
 
     run_for(path, 100, broker, change=restore)
     assert in_journal(f"{path}-damaged") == older
-    kept = in_journal(path)
-    assert kept == broker.ids[-len(kept) :] != []
+    rows = in_journal(path)
+    assert rows == broker.ids[-len(rows) :] != []
 
 
 def test_the_journal_of_another_program_in_its_place_is_left_alone(path: str) -> None:

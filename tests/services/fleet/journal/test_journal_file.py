@@ -36,9 +36,9 @@ def opened(path: str, *outputs: str, keep: float = 90 * DAY, size: int = 10**9) 
 
 @pytest.fixture
 def file(path: str) -> Iterator[JournalFile]:
-    made = opened(path, "a", "b")
-    yield made
-    made.close()
+    journal = opened(path, "a", "b")
+    yield journal
+    journal.close()
 
 
 def test_polls_are_read_as_they_were_written(file: JournalFile) -> None:
@@ -64,7 +64,7 @@ def test_a_poll_that_is_written_again_is_there_once(file: JournalFile) -> None:
 
 def test_a_person_sees_names_units_and_labels(file: JournalFile) -> None:
     hostile = "'; DROP TABLE poll; --"
-    told = [
+    rows = [
         Reading(0.5, hostile, 'a"b', 230.5, "V", "good", labels={"site": "north"}),
         Reading(
             0.5, hostile, "$.x[0]", None, "", "bad", "IllegalDataAddress", labels={"site": "north"}
@@ -72,8 +72,8 @@ def test_a_person_sees_names_units_and_labels(file: JournalFile) -> None:
         Reading(0.5, hostile, "on", True, "", "good", labels={"site": "north"}),
         Reading(0.5, hostile, "list", [1, 2], "", "good", labels={"site": "north"}),
     ]
-    later = [told[2]._replace(time=1.5, value=False), told[0]._replace(time=1.5, value="x")]
-    file.write_polls([*numbered(told, 10), *numbered(later, 20)], {}, 0)
+    later = [rows[2]._replace(time=1.5, value=False), rows[0]._replace(time=1.5, value="x")]
+    file.write_polls([*numbered(rows, 10), *numbered(later, 20)], {}, 0)
     columns = "id, time, device, name, value, unit, quality, reason, labels, seconds"
     at, labels = "1970-01-01T00:00:00.500Z", '{"site":"north"}'
     assert asked(file.path, f"SELECT {columns} FROM reading ORDER BY id") == [
@@ -124,8 +124,8 @@ def test_a_history_has_numbers_and_text(file: JournalFile, names: tuple[str, ...
         [poll] = some(first, *names)
         changed = [each._replace(value=value) for each in poll.readings]
         file.write_polls([poll._replace(readings=changed)], {}, 0)
-    found = [each.value for each in history(file.path, "a", "p1", 0, 9)]
-    assert list(map(repr, found)) == ["1", "1", "'[1,null]'", "'{\"a\":false}'"]
+    values = [each.value for each in history(file.path, "a", "p1", 0, 9)]
+    assert list(map(repr, values)) == ["1", "1", "'[1,null]'", "'{\"a\":false}'"]
 
 
 def test_a_poll_that_cannot_be_written_delays_no_other(file: JournalFile, caplog) -> None:
@@ -158,11 +158,11 @@ def test_places_are_kept_for_each_output(path: str) -> None:
 @pytest.mark.parametrize("now", [0.0, 4e9])
 def test_ids_rise_whatever_the_clock_says(path: str, now, monkeypatch) -> None:
     file = JournalFile(path, DAY, 10**9)
-    begun = file.open([])
-    file.write_polls(polls(begun.first, 5), {}, 0)
+    contents = file.open([])
+    file.write_polls(polls(contents.first, 5), {}, 0)
     file.close()
     monkeypatch.setattr(journal_file, "time", SimpleNamespace(time=lambda: now, monotonic=float))
-    assert file.open([]).first >= begun.first + 9 + MARGIN
+    assert file.open([]).first >= contents.first + 9 + MARGIN
     file.close()
 
 
@@ -186,8 +186,8 @@ def test_a_clock_that_is_wrong_for_a_while_deletes_little(path: str, now, monkey
     file._to_delete = 0  # what these allowed was used up long ago
     monkeypatch.setattr(journal_file, "time", SimpleNamespace(time=lambda: now, monotonic=float))
     file.write_polls(polls(5001, 3, time=now), {}, 10_000)
-    [[left]] = asked(path, "SELECT count(*) FROM poll WHERE id < 5000")
-    assert left == (970 if now else 1000)
+    [[count]] = asked(path, "SELECT count(*) FROM poll WHERE id < 5000")
+    assert count == (970 if now else 1000)
     file.close()
 
 
@@ -196,11 +196,11 @@ def test_the_oldest_readings_make_room_confirmed_or_not(path: str) -> None:
     file = opened(path, "a", size=size)
     first, deleted = 1, 0
     for _ in range(100):
-        written = file.write_polls(polls(first, 100, time=time.time()), {}, 0)
+        result = file.write_polls(polls(first, 100, time=time.time()), {}, 0)
         first += 200
-        while written.deleted:
-            deleted = sum(written.deleted[-1]) - 1
-            written = file.write_polls([], {}, 0)
+        while result.deleted:
+            deleted = sum(result.deleted[-1]) - 1
+            result = file.write_polls([], {}, 0)
     [[oldest, count]] = asked(path, "SELECT min(id), count(*) FROM poll")
     assert oldest == deleted + 1
     assert 500 < count < 10_000
@@ -297,9 +297,9 @@ def test_a_history_is_read_while_the_journal_is_written(file: JournalFile) -> No
     some = [each._replace(time=300.0, value=9.5) for each in readings()[1:]]
     bad = [each._replace(time=301.0, value=None, quality="bad") for each in reversed(readings())]
     file.write_polls([*numbered(some, 500), *numbered(bad, 502)], {}, 0)
-    found = history(file.path, "a", "p1", 150.0, 1000.0)
-    assert [each.time for each in found] == [*map(float, range(150, 200)), 300.0, 301.0]
-    assert [tuple(each)[1:] for each in found[-3:]] == [(0.1, "good"), (9.5, "good"), (None, "bad")]
+    rows = history(file.path, "a", "p1", 150.0, 1000.0)
+    assert [each.time for each in rows] == [*map(float, range(150, 200)), 300.0, 301.0]
+    assert [tuple(each)[1:] for each in rows[-3:]] == [(0.1, "good"), (9.5, "good"), (None, "bad")]
     assert history(file.path, "a", "p0", 299.0, 300.0) == []
     assert history(file.path, "a", "none", 0.0, 1000.0) == []
     assert len(history(file.path, "a", "p1", 0.0, 1000.0, most=9)) <= 9

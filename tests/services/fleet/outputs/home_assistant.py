@@ -156,7 +156,7 @@ class HomeAssistant:
             config = json.loads(payload)
             self.added.append(topic)
             self.entities[topic] = check(topic, config), config
-            ids = [(each, found["unique_id"]) for each, found in self.entities.values()]
+            ids = [(each, entity["unique_id"]) for each, entity in self.entities.values()]
             assert len(set(ids)) == len(ids), "two entities with one id"
 
     @property
@@ -168,18 +168,18 @@ class HomeAssistant:
         }
 
     def entity(self, name: str, device: str = "") -> tuple[str, dict[str, Any]]:
-        (found,) = [
+        (pair,) = [
             (component, config)
             for component, config in self.entities.values()
             if config["name"] == name and device in ("", config["device"]["name"])
         ]
-        return found
+        return pair
 
     def is_available(self, name: str, device: str = "") -> bool:
         _, config = self.entity(name, device)
         assert config["availability_mode"] == "all"
-        heard = [self.payloads.get(each["topic"]) for each in config["availability"]]
-        return all(each == "online" for each in heard)
+        states = [self.payloads.get(each["topic"]) for each in config["availability"]]
+        return all(each == "online" for each in states)
 
     def state(self, name: str, device: str = "") -> Any:
         """The state of an entity: None if it is unknown."""

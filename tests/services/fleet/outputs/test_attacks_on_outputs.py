@@ -40,9 +40,9 @@ class SmallDisk:
     def write(self, descriptor: int, data: bytes) -> int:
         if not self.room:
             raise OSError(errno.ENOSPC, "No space left on device")
-        written = self._write(descriptor, data[: self.room])
-        self.room -= written
-        return written
+        count = self._write(descriptor, data[: self.room])
+        self.room -= count
+        return count
 
 
 @pytest.mark.parametrize("make", [JsonOutput, CsvOutput])

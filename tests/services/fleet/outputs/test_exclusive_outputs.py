@@ -128,8 +128,8 @@ def test_in_the_fleet_file(tmp_path: Path, kind: str, source: str) -> None:
 def test_on_the_command_line(tmp_path: Path, source: str) -> None:
     file = fleet_file(tmp_path)
     (tmp_path / "link").symlink_to("meter.csv")
-    done = run("poll", file, "--once", "--json", tmp_path / source)
-    assert done.code == 2
-    assert "which the fleet is read from" in done.err
+    result = run("poll", file, "--once", "--json", tmp_path / source)
+    assert result.code == 2
+    assert "which the fleet is read from" in result.err
     assert file.read_text() == FLEET
     assert (tmp_path / "meter.csv").read_text() == METER_MAP

@@ -31,8 +31,8 @@ class Last(bytes):
 
 
 def answered(status: str, body: bytes = b"", *headers: str) -> bytes:
-    told = "".join(f"{each}\r\n" for each in headers)
-    head = f"HTTP/1.1 {status}\r\nContent-Length: {len(body)}\r\n{told}\r\n"
+    lines = "".join(f"{each}\r\n" for each in headers)
+    head = f"HTTP/1.1 {status}\r\nContent-Length: {len(body)}\r\n{lines}\r\n"
     return head.encode() + body
 
 
@@ -80,16 +80,16 @@ class HttpServer:
 
 @asynccontextmanager
 async def serving(answers: Iterable[Answer] = ()) -> AsyncIterator[HttpServer]:
-    made = HttpServer(answers)
-    server = await asyncio.start_server(made.talk, "127.0.0.1", 0)
-    made.url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+    http = HttpServer(answers)
+    server = await asyncio.start_server(http.talk, "127.0.0.1", 0)
+    http.url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}"
     try:
-        yield made
+        yield http
     finally:
         server.close()
-        for task in filter(None, made.talks):
+        for task in filter(None, http.talks):
             task.cancel()
-        await asyncio.gather(*filter(None, made.talks), return_exceptions=True)
+        await asyncio.gather(*filter(None, http.talks), return_exceptions=True)
 
 
 READING = Reading(1_700_000_000.0, "north", "level", 7, "m", "good")
@@ -139,7 +139,7 @@ async def test_an_empty_write_asks_nothing() -> None:
 
 
 @each_case(
-    ("answer", "error", "told"),
+    ("answer", "error", "message"),
     [
         (answered("400 Bad", b'{"error":"partial write"}'), ValueError, "400 .*partial write"),
         (answered("413 Too Large"), ValueError, "413"),
@@ -163,8 +163,8 @@ async def test_an_empty_write_asks_nothing() -> None:
         (None, ConnectionError, None),
     ],
 )
-def test_answers_that_do_not_confirm(answer, error, told) -> None:
-    with pytest.raises(error, match=told) as raised:
+def test_answers_that_do_not_confirm(answer, error, message) -> None:
+    with pytest.raises(error, match=message) as raised:
         write(answer, token="s3cret", database=None, bucket="b")
     # Only a lost connection may be due to the readings.
     assert isinstance(raised.value, ConnectionError) is (error is ConnectionError)
@@ -228,9 +228,9 @@ def read(value: Any, name: str = "level", quality: Quality = "good", reason: str
 
 
 def protocol(measurement: str = "modbus", name: str = "north") -> LineProtocol:
-    made = LineProtocol(measurement)
-    made.describe({name: DeviceConfig(name, "tcp://127.0.0.1", MAP)})
-    return made
+    protocol_ = LineProtocol(measurement)
+    protocol_.describe({name: DeviceConfig(name, "tcp://127.0.0.1", MAP)})
+    return protocol_
 
 
 def lines_of(*readings: Reading, **labels: str) -> str:

@@ -110,10 +110,10 @@ def test_half_a_line_of_a_crash_is_ended_first(tmp_path: Path, kind: str, value:
     path = tmp_path / "now"
     path.unlink(missing_ok=True)
     written(KINDS[kind](str(path)), reading(0))
-    begun = path.stat().st_size
+    size = path.stat().st_size
     written(KINDS[kind](str(path)), reading(value))
     whole = path.read_bytes()
-    for cut in range(begun + 1, len(whole)):
+    for cut in range(size + 1, len(whole)):
         if whole[cut - 1 : cut] == b"\n":  # looks like a whole line
             continue
         path.write_bytes(whole[:cut])
@@ -195,14 +195,14 @@ def test_a_standard_output_that_does_not_block_is_waited_for(capfd) -> None:
         reading_end, writing_end = os.pipe()
         os.set_blocking(writing_end, False)
         thread = threading.Thread(target=read, daemon=True)
-        kept = os.dup(1)
+        copy = os.dup(1)
         os.dup2(writing_end, 1)
         os.close(writing_end)
         try:
             asyncio.run(go())
         finally:
-            os.dup2(kept, 1)
-            os.close(kept)
+            os.dup2(copy, 1)
+            os.close(copy)
         thread.join()
         os.close(reading_end)
     assert json.loads(received)["value"] == text

@@ -216,11 +216,11 @@ def test_a_device_that_is_refused_again_costs_few_connections_and_no_time(device
 
     async def play(pump: Pump) -> None:
         for at in range(20):
-            before, begun = output.failed, asyncio.get_running_loop().time()
+            before, start = output.failed, asyncio.get_running_loop().time()
             pump.buffer.put_readings([reading(device, "one", 1, 100.0 + at) for device in devices])
             await until(lambda at=at: pump.statistics.dropped == at + 1 and not pump.buffer)
             failed.append(output.failed - before)
-            took.append(asyncio.get_running_loop().time() - begun)
+            took.append(asyncio.get_running_loop().time() - start)
 
     assert played(output, play).written == 20 * (len(devices) - 1)
     assert failed[0] <= 6
@@ -254,10 +254,10 @@ class Denied(Stream):
         await super().open_output()
         publish = self._js.publish_async
 
-        async def denying(subject: str, *given: Any, **named: Any) -> Any:
+        async def denying(subject: str, *arguments: Any, **options: Any) -> Any:
             if subject.endswith(".x"):
                 return asyncio.get_running_loop().create_future()
-            return await publish(subject, *given, **named)
+            return await publish(subject, *arguments, **options)
 
         cast(Any, self._js).publish_async = denying
 
