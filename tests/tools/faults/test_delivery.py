@@ -50,10 +50,10 @@ BYTES: list[tuple[Fault, Framer, list[tuple[float, str]]]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("fault", "framer", "expected"), BYTES)
-def test_bytes_of_each_fault(fault, framer, expected) -> None:
-    sent = [(each.wait, each.data.hex()) for each in fault.fragments(ANSWER, framer)]
-    assert sent == expected
+@pytest.mark.parametrize(("fault", "framer", "fragments"), BYTES)
+def test_bytes_of_each_fault(fault, framer, fragments) -> None:
+    writes = [(each.wait, each.data.hex()) for each in fault.fragments(ANSWER, framer)]
+    assert writes == fragments
 
 
 def test_random_bytes_are_the_same_with_a_seed() -> None:
@@ -83,10 +83,10 @@ def test_the_transaction_before_0_is_65535() -> None:
 def blocks(client: Talker, requests: bytes) -> bool:
     """Send more than the network keeps; return whether the server stops to read it."""
     client.settimeout(60)
-    sent = 0
+    count = 0
     try:
-        while sent < 1 << 21:
-            sent += client.send(requests[sent % len(requests) :])
+        while count < 1 << 21:
+            count += client.send(requests[count % len(requests) :])
     except TimeoutError:
         return True
     return False
@@ -140,8 +140,8 @@ def test_a_disconnect_comes_after_answers_that_are_kept_back(stage: Stage) -> No
     faults = [Fault("delay", function=1, seconds=100), Fault("disconnect", function=3, length=512)]
     with serving(stage, "tcp", *faults) as url, stage.talk(url) as connection:
         connection.sendall(adu(b"\x01\0\0\0\x01", 1) + adu(READ, 2) + adu(READ, 3))
-        expected = adu(b"\x01\x01\0", 1) + adu(b"\x03\x02\x02\x2b", 2)
-        assert connection.receive(100) == expected
+        answers = adu(b"\x01\x01\0", 1) + adu(b"\x03\x02\x02\x2b", 2)
+        assert connection.receive(100) == answers
 
 
 def test_garbage_and_disconnects_of_datagrams(stage: Stage) -> None:

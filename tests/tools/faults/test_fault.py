@@ -78,8 +78,8 @@ RANGES: list[tuple[dict[str, Any], pdu.Request[Any], bool]] = [
 @pytest.mark.parametrize(("where", "request_", "is_hit"), RANGES, ids=str)
 def test_only_requests_that_touch_the_range_are_hit_and_counted(where, request_, is_hit) -> None:
     faults = Faults({1: [Fault("no_answer", every=2, **where)]})
-    asked = Frame(1, request_.encode())
-    assert hits(faults, 4, asked) == ([2, 4] if is_hit else [])
+    request = Frame(1, request_.encode())
+    assert hits(faults, 4, request) == ([2, 4] if is_hit else [])
 
 
 def test_a_fault_that_cannot_be_is_refused(refused: Refused) -> None:

@@ -60,9 +60,9 @@ def test_a_client_sees_the_fault_and_the_next_request_succeeds(stage: Stage, sch
     timeout = 0.2 if scheme == "ascii" else 200
     with serving(stage, scheme, fault) as url, client_of(url, timeout=timeout) as client:
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
-        with pytest.raises(error) as seen:
+        with pytest.raises(error) as caught:
             client.read_holding_registers(0, 3)
-        assert type(seen.value) is error
+        assert type(caught.value) is error
         client.timeout = 5000
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
 

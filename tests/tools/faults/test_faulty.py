@@ -53,8 +53,8 @@ def test_an_answer_in_c_waits_behind_one_that_a_fault_delays(stage: Stage) -> No
         for requests in (adu(coil, 1, 1), adu(coil, 2, 2) + adu(coil, 3, 1) + adu(coil, 4, 2)):
             connection.sendall(requests)
         answers = [(1, 1), (2, 2), (3, 1), (4, 2)]
-        expected = b"".join(adu(b"\x01\x01\0", *each) for each in answers)
-        assert connection.receive(len(expected)) == expected
+        answer = b"".join(adu(b"\x01\x01\0", *each) for each in answers)
+        assert connection.receive(len(answer)) == answer
 
 
 def test_the_first_fault_that_is_due_happens_and_all_count() -> None:
@@ -167,16 +167,16 @@ def test_a_fault_that_ends_while_a_request_is_out_holds_for_that_request_only(st
         else:
             server.replace({1: made_device()})
             switched.switch_off()
-        begun = stage.now
+        start = stage.now
         with client_of(running.urls[0]) as other:
             assert other.read_holding_registers(0, 1) == [555]
-        assert stage.now - begun < 0.1
+        assert stage.now - start < 0.1
         slow.sendall(adu(READ, 2))  # behind the first, whose answer comes when it would have come
         stage.pass_time(3)
         assert not slow.has_input()
         answer = b"\x03\x02\x02\x2b"
         assert slow.receive(22) == adu(answer, 1) + adu(answer, 2)
-        assert stage.now - begun < 4.5
+        assert stage.now - start < 4.5
 
 
 def test_a_server_stops_while_answers_wait(stage: Stage) -> None:
@@ -186,14 +186,14 @@ def test_a_server_stops_while_answers_wait(stage: Stage) -> None:
         for client in clients:
             client.sendall(adu(READ))
         stage.pass_time(1)
-        begun = stage.now
+        start = stage.now
     assert all(client.is_closed() for client in clients)
-    assert stage.now - begun < 0.01
+    assert stage.now - start < 0.01
     with serving(stage, "rtu", fault, of=None) as url, client_of(url, timeout=50) as line:
         with pytest.raises(ModbusTimeoutError):
             line.read_coils(0, 1)
-        begun = stage.now
-    assert stage.now - begun < 0.01
+        start = stage.now
+    assert stage.now - start < 0.01
 
 
 def test_a_client_that_leaves_costs_its_answers_only(stage: Stage) -> None:

@@ -13,8 +13,8 @@ MINE = Fault("exception", code=5)
 YOURS = Fault("exception", code=6)
 
 
-def made_server(*given: Fault) -> Server:
-    return Server({1: Device(Mapping(holding_registers={0: [7]}))}, faults={1: given})
+def made_server(*faults: Fault) -> Server:
+    return Server({1: Device(Mapping(holding_registers={0: [7]}))}, faults={1: faults})
 
 
 def happening(server: Server) -> list[tuple[int | None, int | None]]:
@@ -44,14 +44,14 @@ def test_one_fault_is_turned_off_and_on_in_its_place() -> None:
     server = made_server(GIVEN, MINE)
     yours = server.fault_switch.switch_on(YOURS)
     first = server.fault_switch.states()[0]
-    given = server.fault_switch.states()[1]
+    state = server.fault_switch.states()[1]
     with server.background("tcp://127.0.0.1:0") as running:
         client = Client(running.urls[0], unit=1)
         with client:
-            server.fault_switch.turn(given, is_on=False)
+            server.fault_switch.turn(state, is_on=False)
             assert code_of(client) == 5
             server.fault_switch.turn(first, is_on=False)
-            server.fault_switch.turn(given, is_on=True)
+            server.fault_switch.turn(state, is_on=True)
             assert code_of(client) == 4
     assert [each.fault for each in server.fault_switch.states()] == [YOURS, GIVEN, MINE]
     yours.switch_off()

@@ -163,11 +163,11 @@ def check_texts(map: RegisterMap) -> None:
     """The file has the statements that it has for plain texts, and the points are the same."""
     text = class_text(map, "meter")
     plain = RegisterMap([Point(f"p{at}", "coils", at) for at in range(len(map))])
-    found, expected = (
+    statements, kinds = (
         [type(node).__name__ for node in ast.parse(each).body]
         for each in (text, class_text(plain, "meter"))
     )
-    assert found == expected
+    assert statements == kinds
     assert list(made(map)["MAP"].values()) == list(map.values())
 
 
@@ -192,10 +192,10 @@ def test_attributes_of_names(names: list[str], attributes: list[str]) -> None:
 
 @given(st.lists(st.text(max_size=8), unique=True, max_size=12))
 def test_attributes_are_identifiers_and_differ(names: list[str]) -> None:
-    found = attribute_names(names)
-    assert list(found) == names
-    assert len(set(found.values())) == len(names)
-    for attribute in found.values():
+    attributes = attribute_names(names)
+    assert list(attributes) == names
+    assert len(set(attributes.values())) == len(names)
+    for attribute in attributes.values():
         assert attribute.isidentifier()
         assert ast.parse(f"x.{attribute}")
         assert not attribute.startswith("_")
@@ -239,6 +239,6 @@ def test_checkers_take_a_map_of_nasty_names(tmp_path: Path) -> None:
         [*mypy, "meter.py", "none.py"],
     ):
         environment = {"PATH": "/usr/bin:/bin", "MYPYPATH": str(TYPING.parents[1])}
-        done = run_to_end(*command, seconds=170, cwd=tmp_path, env=environment)
-        assert done.returncode == 0, done.stdout + done.stderr
+        result = run_to_end(*command, seconds=170, cwd=tmp_path, env=environment)
+        assert result.returncode == 0, result.stdout + result.stderr
     made(NASTY)

@@ -122,12 +122,12 @@ def test_a_client_and_a_server_on_a_line(port: Line, framing: str, device: Devic
         with pytest.raises(IllegalDataAddress):
             client.read_coils(0, 1)
         client.for_unit(0).write_register(101, 6)
-        done = hearing.wait_for(6)
-    assert [each.kind for each in done] == [*(["answered"] * 4), "exception", "broadcast"]
-    assert done[0].request == pdu.ReadHoldingRegisters(100, 3)
-    assert done[0].response == [1000, 1001, 1002]
-    assert all((each.duration or 0) >= 0 for each in done)
-    assert abs(done[0].time - time.time()) < 60
+        transactions = hearing.wait_for(6)
+    assert [each.kind for each in transactions] == [*(["answered"] * 4), "exception", "broadcast"]
+    assert transactions[0].request == pdu.ReadHoldingRegisters(100, 3)
+    assert transactions[0].response == [1000, 1001, 1002]
+    assert all((each.duration or 0) >= 0 for each in transactions)
+    assert abs(transactions[0].time - time.time()) < 60
     assert hearing.line.summary.units[UNIT].functions[6] == 2
     assert hearing.line.summary.units[UNIT].errors == {"exception 2": 1}
 
@@ -279,9 +279,9 @@ class TestBetween:
 
         with ThreadPoolExecutor(8) as pool:
             list(pool.map(ask, range(100, 108)))
-        done = tapped.wait_for(160)
-        assert {each.kind for each in done} == {"answered"}
-        assert len(done) == 160
+        transactions = tapped.wait_for(160)
+        assert {each.kind for each in transactions} == {"answered"}
+        assert len(transactions) == 160
 
     def test_bytes_pass_unchanged_though_nobody_looks(self) -> None:
         """More than is kept to be shown."""
@@ -313,15 +313,15 @@ class TestBetween:
                 assert client.recv(1) == b""
 
     def test_a_taken_port(self) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as taken:
-            url = f"rtu+tcp://127.0.0.1:{taken.getsockname()[1]}"
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            url = f"rtu+tcp://127.0.0.1:{server.getsockname()[1]}"
             with pytest.raises(ModbusConnectionError, match="cannot listen on rtu"):
                 listen(url, between="rtu+tcp://127.0.0.1:1")
 
 
 class TestArguments:
     def test_wrong_arguments_of_listen_are_refused(self, refused: Refused) -> None:
-        refused("refused.txt", lambda given: listen(given[0], between=given[1]))
+        refused("refused.txt", lambda arguments: listen(arguments[0], between=arguments[1]))
 
     def test_a_capture_that_cannot_be_written(self, port: Line, tmp_path: Path) -> None:
         with pytest.raises(OSError, match="Is a directory"):

@@ -229,8 +229,8 @@ def test_a_lost_segment_costs_its_transaction_only(tmp_path: Path) -> None:
 
     def segment(data: bytes, number: int, acknowledged: int, *, asks: bool) -> bytes:
         ports = (50000, 502)
-        given = {"flags": 0x18, "ports": ports, "acknowledged": acknowledged}
-        return ip(tcp(data, number, asks=asks, **given), asks=asks)  # type: ignore[arg-type]
+        options = {"flags": 0x18, "ports": ports, "acknowledged": acknowledged}
+        return ip(tcp(data, number, asks=asks, **options), asks=asks)  # type: ignore[arg-type]
 
     many = []
     for at in range(100):

@@ -40,8 +40,8 @@ class Tapped:
 
 @pytest.fixture
 def tapped() -> Iterator[Tapped]:
-    with contextlib.closing(Tapped()) as made:
-        yield made
+    with contextlib.closing(Tapped()) as tap:
+        yield tap
 
 
 def passes(ends: Ends) -> bool:

@@ -53,9 +53,9 @@ def test_a_value_set_on_the_page_is_read_by_clients() -> None:
         assert plc.read_discrete_inputs(0, 4) == [False, False, True, False]
 
 
-def cell(**given: Any) -> dict[str, Any]:
+def cell(**changes: Any) -> dict[str, Any]:
     place = {"unit": 1, "table": "holding_registers", "address": 0, "text": "1"}
-    return {**place, "type": "uint16", "order": "ABCD", **given}
+    return {**place, "type": "uint16", "order": "ABCD", **changes}
 
 
 def test_a_change_that_cannot_be_is_told(refused: Refused) -> None:
@@ -79,8 +79,8 @@ def test_a_value_that_the_device_computes_is_told() -> None:
 
 def test_the_page_shows_the_values_that_registers_may_have() -> None:
     with shown() as (_, _, visitor):
-        found = visitor.post("/readings", unit=1, table="holding_registers", address=0)
-        assert {"type": "float32", "order": "CDAB", "text": "21.5"} in found["readings"]
+        reading = visitor.post("/readings", unit=1, table="holding_registers", address=0)
+        assert {"type": "float32", "order": "CDAB", "text": "21.5"} in reading["readings"]
         for place in ({"table": "coils", "address": 0}, {"table": H, "address": 60}):
             assert visitor.post("/readings", unit=1, **place) == {"readings": []}
 
@@ -109,8 +109,8 @@ def test_a_held_value_stays_can_be_set_and_goes_on(visitor: Visitor) -> None:
 
     def row() -> tuple[str, bool | None, list[int]]:
         empty = {"text": "", "moves": None, "spark": []}
-        found = visitor.seen.get("1/points", {"0": empty})["0"]
-        return found["text"], found["moves"], found["spark"]
+        point = visitor.seen.get("1/points", {"0": empty})["0"]
+        return point["text"], point["moves"], point["spark"]
 
     visitor.receive(lambda: row()[1])
     before = row()[0]
@@ -208,8 +208,8 @@ def test_others_may_change_devices_and_faults() -> None:
 
 
 def test_the_number_of_faults_is_limited() -> None:
-    given = [Fault("delay", seconds=1.5), *[Fault("no_answer")] * 198]
-    with shown(faults={1: given}) as (server, _, visitor), visitor.watching():
+    faults = [Fault("delay", seconds=1.5), *[Fault("no_answer")] * 198]
+    with shown(faults={1: faults}) as (server, _, visitor), visitor.watching():
         assert visitor.rows("faults")[0]["settings"] == "seconds 1.5"
         number = max(map(int, visitor.seen["faults"]))  # equal ones are switched one by one
         assert visitor.post("/fault", number=number, on=False) == {}

@@ -33,11 +33,11 @@ def test_the_log_has_the_last_writer_of_each_cell() -> None:
         visitor.post("/value", unit=2, table="holding_registers", address=3, text="9", type="int16",
                      order="ABCD")  # fmt: skip
         visitor.receive(lambda: len(visitor.rows("written")) == 5)
-    found = [
+    writers = [
         (each["unit"], each["table"], each["start"], each["stop"])
         for each in visitor.rows("written")
     ]
-    assert found == [
+    assert writers == [
         (1, "holding_registers", 100, 103),
         (1, "coils", 5, 6),
         (1, "holding_registers", 101, 102),
@@ -131,8 +131,8 @@ def test_the_saved_log_has_the_chosen_rows() -> None:
             ("?nonsense=%00&unit=", [0, 1, 2, 3]),
         ):
             assert saved(visitor, query) == [every[0], *(every[1 + at] for at in rows)], query
-        named = [(each["named"], each["writes"]) for each in visitor.rows("log")]
-        assert named[:2] == [("level 12.5 m", True), ("level 12.5 m", False)]
+        names = [(each["named"], each["writes"]) for each in visitor.rows("log")]
+        assert names[:2] == [("level 12.5 m", True), ("level 12.5 m", False)]
 
 
 def test_no_cell_is_a_formula() -> None:

@@ -47,8 +47,8 @@ def test_points_are_shown_with_their_values_and_only_what_changes_is_sent() -> N
         with Client(url, unit=1) as plc:
             plc.write_registers(2, [123])
             visitor.receive(lambda: visitor.points("1/points")[1] == "12.3")
-        sent = [each["1/points"] for each in visitor.messages[before:] if "1/points" in each]
-        assert {key for each in sent for key, row in each.items() if row["text"] != "abc"} == {"1"}
+        rows = [each["1/points"] for each in visitor.messages[before:] if "1/points" in each]
+        assert {key for each in rows for key, row in each.items() if row["text"] != "abc"} == {"1"}
 
 
 def test_cells_are_shown_as_far_as_they_are_looked_at() -> None:
@@ -101,7 +101,7 @@ def test_two_pages_of_a_server_on_one_token_follow_it_and_end_alone() -> None:
 def test_a_moving_value_is_computed_when_it_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("libmodbus_py.tools.page.units.RETRY", 0.3)
     mapping, is_busy = Mapping(holding_registers=8, input_registers=8), True
-    seen: list[Access] = []
+    accesses: list[Access] = []
 
     def compute(access: Access) -> None:
         touched = range(access.address, access.address + access.count)
@@ -109,23 +109,23 @@ def test_a_moving_value_is_computed_when_it_is_shown(monkeypatch: pytest.MonkeyP
             raise IllegalDataAddress("clients may not read it")
         if 6 in touched and is_busy:
             raise ServerDeviceBusy
-        seen.append(access)
+        accesses.append(access)
         for address in {4, 6} & {*touched}:
             mapping.input_registers[address] += 1
 
     with live_page(server := Server(Device(mapping, before_read=compute))) as page:
         visitor = Visitor(page.url)
         with visitor.watching():
-            assert not seen
+            assert not accesses
             visitor.look(None, "input_registers", 0, 8)
             visitor.receive(lambda: visitor.cells("every/input_registers").get(4, 0) >= 3)
             assert visitor.cells("every/input_registers")[6] == 0
             is_busy = False
             visitor.receive(lambda: visitor.cells("every/input_registers")[6] > 0)
-        count = len(seen)
-        assert {each.table for each in seen} == {"input_registers"}
+        count = len(accesses)
+        assert {each.table for each in accesses} == {"input_registers"}
         assert server.statistics.requests == 0
-    assert len(seen) <= count + 8  # nothing is computed when nobody looks
+    assert len(accesses) <= count + 8  # nothing is computed when nobody looks
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError, SystemExit])

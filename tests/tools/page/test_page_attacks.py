@@ -57,14 +57,14 @@ STRANGERS: dict[str, dict[str, str | None]] = {
 @each_case("stranger", STRANGERS)
 def test_a_request_without_the_token_is_refused(stranger: str) -> None:
     with shown() as (server, _, visitor):
-        given = {
+        fields = {
             name: each and each.format(port=visitor.address[1], token=visitor.token)
             for name, each in STRANGERS[stranger].items()
         }
         before = server.devices[1].mapping.holding_registers[2]
         for path in PATHS:
             method = "POST" if path == "/value" else "GET"
-            status, headers, data = visitor.ask(method, path, CHANGE, **given)
+            status, headers, data = visitor.ask(method, path, CHANGE, **fields)
             assert (status, "Set-Cookie" in headers) == (403, False), (path, data)
             assert visitor.token.encode() not in data
         assert server.devices[1].mapping.holding_registers[2] == before
@@ -254,12 +254,12 @@ def test_an_end_ends_everybody() -> None:
 
 
 def test_a_page_that_cannot_be_gets_one_line() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        place = f"127.0.0.1:{taken.getsockname()[1]}"
-        done = run("serve", "tcp://127.0.0.1:0", "--page", place, environment=PAGE_TOKEN)
-    assert (done.code, done.out) == (1, "")
-    assert f"cannot show a page on {place}: Address already" in done.err
-    assert done.err.count("\n") == 1
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        place = f"127.0.0.1:{listener.getsockname()[1]}"
+        result = run("serve", "tcp://127.0.0.1:0", "--page", place, environment=PAGE_TOKEN)
+    assert (result.code, result.out) == (1, "")
+    assert f"cannot show a page on {place}: Address already" in result.err
+    assert result.err.count("\n") == 1
 
 
 OUTER_URLS = {
@@ -273,14 +273,14 @@ OUTER_URLS = {
 def test_changes_come_from_the_outer_url(url: str) -> None:
     origin = OUTER_URLS[url]
     with (
-        HeldPort() as held,
-        live_page(made_server(), port=held.number, url=url) as page,
+        HeldPort() as port,
+        live_page(made_server(), port=port.number, url=url) as page,
         live_page(made_server()) as other,
     ):
         assert page.url.startswith(url.lower().replace(":443", "").rstrip("/") + "/?token=")
         visitor, stranger = Visitor(page.url), Visitor(other.url)
         assert stranger.ask("POST", "/value", CHANGE, Origin=origin)[0] == 403
-        visitor.address = "127.0.0.1", held.number
+        visitor.address = "127.0.0.1", port.number
         visitor.headers["Cookie"] = f"libmodbus_page_{visitor.address[1]}={visitor.token}"
         outer = origin.partition("//")[2]
         for host in (outer, f"127.0.0.1:{visitor.address[1]}"):

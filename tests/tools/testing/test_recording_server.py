@@ -66,8 +66,8 @@ class TestMaker:
         server = make_modbus_server(f"{scheme}://127.0.0.1:0")
         with Client(server.url, unit=3) as client:
             client.write_coils(8, [True, False, True])
-        (made,) = server.transactions
-        assert str(made) == "unit 3: WriteCoils(address=8, values=(True, False, True)) -> done"
+        (write,) = server.transactions
+        assert str(write) == "unit 3: WriteCoils(address=8, values=(True, False, True)) -> done"
 
     def test_several_devices_and_endpoints(self, make_modbus_server: ServerMaker) -> None:
         devices = {1: Device(Mapping(8)), 2: Device(Mapping(16))}
