@@ -45,10 +45,10 @@ LISTED = re.compile(r"^ +\| +(\w+)=(\S+) +\S", re.MULTILINE)
     [(Client, Options, {}), (AsyncClient, AsyncOptions, {"max_pause": MAX_PAUSE})],
 )
 def test_help_lists_every_option_with_its_default(client: Any, options: Any, usual: Any) -> None:
-    expected = {name: row.default for name, row in rows_of(options).items()} | usual
+    defaults = {name: row.default for name, row in rows_of(options).items()} | usual
     listed = LISTED.findall(pydoc.plaintext.document(client))
-    assert {name: value(text) for name, text in listed} == expected
-    assert len(listed) == len(expected)
+    assert {name: value(text) for name, text in listed} == defaults
+    assert len(listed) == len(defaults)
 
 
 @each_case("name", [*ROWS])

@@ -54,7 +54,7 @@ def test_a_failure_says_where(tmp_path: Path, run: Run) -> None:
 
 
 @each_case(
-    ("expected", "found", "fits"),
+    ("pattern", "text", "fits"),
     [
         ("a  b", "a      b", True),
         ("a b", "ab", False),
@@ -64,8 +64,8 @@ def test_a_failure_says_where(tmp_path: Path, run: Run) -> None:
         ("a", "a\n", False),
     ],
 )
-def test_texts_are_compared(expected: str, found: str, fits: bool) -> None:
-    assert matches(expected, found) is fits
+def test_texts_are_compared(pattern: str, text: str, fits: bool) -> None:
+    assert matches(pattern, text) is fits
 
 
 def test_commands_are_cut() -> None:

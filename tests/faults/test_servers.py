@@ -49,11 +49,11 @@ def port_of(url: str) -> tuple[str, int]:
 
 def over(kind: socket.SocketKind) -> Ask:
     def ask(url: str) -> bytes:
-        with contextlib.suppress(OSError), socket.socket(socket.AF_INET, kind) as made:
-            made.settimeout(SHORT)
-            made.connect(port_of(url))
-            made.send(TCP_REQUEST)
-            return made.recv(300)
+        with contextlib.suppress(OSError), socket.socket(socket.AF_INET, kind) as client:
+            client.settimeout(SHORT)
+            client.connect(port_of(url))
+            client.send(TCP_REQUEST)
+            return client.recv(300)
         return b""
 
     return ask

@@ -95,9 +95,9 @@ def polling(urls: list[str], file: Path) -> Scenario:
                     await until(lambda: fleet.statistics.polls > 2 * len(urls))
                 polls = fleet.statistics.polls + 2 * len(urls)
                 (output,) = fleet.statistics.outputs.values()
-                written = output.written
+                count = output.written
                 await until(lambda: fleet.statistics.polls > polls and is_up(fleet))
-                await until(lambda: output.written > written)
+                await until(lambda: output.written > count)
                 with trial.faults():
                     await stack.aclose()
 
@@ -122,13 +122,13 @@ def hearing(url: str, between: str | None, say: Callable[[str], None]) -> Scenar
 
     def scenario(trial: Trial) -> None:
         with contextlib.ExitStack() as stack:
-            heard = None
+            listener = None
             with trial.faults():
-                heard = stack.enter_context(listen(url, between=between))
-                say(heard.url)
-            if heard is not None:
-                say(heard.url)
-                assert next(heard).unit == 1
+                listener = stack.enter_context(listen(url, between=between))
+                say(listener.url)
+            if listener is not None:
+                say(listener.url)
+                assert next(listener).unit == 1
             with trial.faults():
                 stack.close()
 
@@ -145,11 +145,11 @@ def test_a_listener_on_a_line(line: tuple[int, str]) -> None:
 
 
 def is_passed_on(url: str) -> bool:
-    with contextlib.suppress(OSError), socket.socket() as made:
-        made.settimeout(SHORT)
-        made.connect(port_of(url))
-        made.send(LINE_REQUEST)
-        return made.recv(300) == LINE_ANSWER
+    with contextlib.suppress(OSError), socket.socket() as client:
+        client.settimeout(SHORT)
+        client.connect(port_of(url))
+        client.send(LINE_REQUEST)
+        return client.recv(300) == LINE_ANSWER
     return False
 
 
@@ -168,17 +168,17 @@ def got(url: str, path: str, until: bytes) -> bytes:
     """Return what comes for a request, up to some bytes in it."""
     where, _, token = url.partition("?")
     host, _, port = where.removeprefix("http://").strip("/").rpartition(":")
-    found = b""
-    with contextlib.suppress(OSError), socket.socket() as made:
-        made.settimeout(0.2)
-        made.connect((host, int(port)))
-        made.send(
+    answer = b""
+    with contextlib.suppress(OSError), socket.socket() as client:
+        client.settimeout(0.2)
+        client.connect((host, int(port)))
+        client.send(
             f"GET {path}?{token} HTTP/1.1\r\nHost: {host}:{port}\r\n"
             "Connection: close\r\n\r\n".encode()
         )
-        while until not in found and (data := made.recv(65_536)):
-            found += data
-    return found
+        while until not in answer and (data := client.recv(65_536)):
+            answer += data
+    return answer
 
 
 def is_shown(url: str) -> bool:
@@ -187,11 +187,11 @@ def is_shown(url: str) -> bool:
 
 def shown() -> Scenario:
     def scenario(trial: Trial) -> None:
-        shown = server()
-        with shown.background("tcp://127.0.0.1:0"), contextlib.ExitStack() as stack:
+        view = server()
+        with view.background("tcp://127.0.0.1:0"), contextlib.ExitStack() as stack:
             page = None
             with trial.faults(OSError):
-                page = stack.enter_context(live_page(shown))
+                page = stack.enter_context(live_page(view))
                 is_shown(page.url)
             if page is not None:
                 assert eventually(lambda: is_shown(page.url))
@@ -217,8 +217,8 @@ def unit(request: bytes) -> list[bytes]:
 
 @contextlib.contextmanager
 def rtu(folder: Path) -> Iterator[str]:
-    with FakeUnit(unit) as made:
-        yield f"rtu://{made.path}?baudrate=115200&parity=N"
+    with FakeUnit(unit) as peer:
+        yield f"rtu://{peer.path}?baudrate=115200&parity=N"
 
 
 PLACES: dict[str, Place] = {"tcp": tcp, "udp": udp, "rtu": rtu}
@@ -230,8 +230,8 @@ def finds(url: str) -> bool:
 
 def scanned(url: str) -> Scenario:
     def scenario(trial: Trial) -> None:
-        with trial.faults(), scan(url, units=[1], timeout=SHORT) as found:
-            for each in found:
+        with trial.faults(), scan(url, units=[1], timeout=SHORT) as units:
+            for each in units:
                 assert each.unit == 1
         assert eventually(lambda: finds(url))
 

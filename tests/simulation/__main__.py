@@ -81,10 +81,10 @@ def _hour(seed: int) -> Options:
 
 def _try_all(runs: list[Options], tally: Tally) -> Failure | None:
     for options in runs:
-        found = tried(options)
-        if isinstance(found, Failure):
-            return found
-        tally.add(options, found)
+        outcome = tried(options)
+        if isinstance(outcome, Failure):
+            return outcome
+        tally.add(options, outcome)
     return None
 
 
@@ -112,9 +112,9 @@ def _find_all() -> int:
     missed = 0
     print("| rule taken out | found after | seed | by the rule |\n|---|--:|--:|---|")
     for each in BREAKS:
-        begun = time.process_time()
+        start = time.process_time()
         failure = find(each, seconds=PATIENCE)
-        took = time.process_time() - begun
+        took = time.process_time() - start
         if failure is None:
             missed += 1
             print(f"| {each.rule} | not within {PATIENCE:g} s | | |", flush=True)
@@ -134,9 +134,9 @@ def find(broken: Break, *, seconds: float = math.inf, seeds: int | None = None) 
             return None
         options = broken.options(chosen(seed))
         with broken.broken():
-            found = tried(options)
-        if isinstance(found, Failure):
-            return found
+            outcome = tried(options)
+        if isinstance(outcome, Failure):
+            return outcome
     return None
 
 

@@ -60,14 +60,14 @@ class _Attacker:
     def begin(self) -> None:
         if self._all.is_over:
             return
-        made, _ = self._stage.connect(*self._all.target, self._source)
-        assert made is not None
-        self.end = made
+        connection, _ = self._stage.connect(*self._all.target, self._source)
+        assert connection is not None
+        self.end = connection
         self._script = self._all.attack.script()
         self._step = Step()
         self._awaited = 0
         if self._all.attack.reads:
-            made.on_input = lambda: self._read(made)
+            connection.on_input = lambda: self._read(connection)
         self._later(self._connected, 3 * DELAY)
 
     def _later(self, call: object, seconds: float = PERIOD) -> None:
@@ -91,15 +91,15 @@ class _Attacker:
 
     def _write(self, data: bytes) -> None:
         try:
-            sent = self.end.send(data) if data else 0
+            count = self.end.send(data) if data else 0
         except BlockingIOError:
-            sent = 0
+            count = 0
         except OSError:
             self._begin_again()
             return
-        self._all.sent += sent
-        if sent < len(data):
-            self._later(lambda: self._write(data[sent:]))
+        self._all.sent += count
+        if count < len(data):
+            self._later(lambda: self._write(data[count:]))
         elif self._step.pause or not self._awaited:
             self._later(self._go_on, self._step.pause or PERIOD)
 
@@ -147,9 +147,9 @@ class Innocent:
         data = struct.pack(f">{len(self.VALUES)}H", *self.VALUES)
         self._request = struct.pack(">BHH", 3, self.FIRST, len(self.VALUES))
         self._answer = bytes([3, len(data)]) + data
-        written = struct.pack(">BHHB", 16, self.FIRST, len(self.VALUES), len(data)) + data
-        client.sendall(adu(written, 1, UNIT))
-        assert client.receive(12) == adu(written[:5], 1, UNIT)
+        body = struct.pack(">BHHB", 16, self.FIRST, len(self.VALUES), len(data)) + data
+        client.sendall(adu(body, 1, UNIT))
+        assert client.receive(12) == adu(body[:5], 1, UNIT)
         client.end.other.carriage = self._note_answer
 
     def poll(self, requests: int, among: Attackers | None = None) -> Waited:
@@ -165,19 +165,19 @@ class Innocent:
         self._stage.call_each_turn(note_turn)
         for _ in range(requests):
             if among is not None:
-                sent = among.sent
+                count = among.sent
                 # One second, or what a moment is to those who send nothing.
                 most = 1 if among.attack.sends else PERIOD
-                self._stage.until(lambda: among.sent > sent, most)  # noqa: B023
+                self._stage.until(lambda: among.sent > count, most)  # noqa: B023
             self._ask(waited)
         return waited
 
     def _ask(self, waited: Waited) -> None:
         self._transaction = (self._transaction + 1) & 0xFFFF
-        expected = adu(self._answer, self._transaction, UNIT)
+        answer = adu(self._answer, self._transaction, UNIT)
         self._client.sendall(adu(self._request, self._transaction, UNIT))
         self._stage.events.after(DELAY, self._note_arrival)
-        assert self._client.receive(len(expected)) == expected
+        assert self._client.receive(len(answer)) == answer
         waited.turns.append(self._answered[0] - self._arrived[0])
         waited.others.append(self._answered[1] - self._arrived[1] - 1)
 

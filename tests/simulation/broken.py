@@ -30,11 +30,11 @@ class Break:
     broken: Callable[[], AbstractContextManager[object]]
     faults: tuple[str, ...] = ()
 
-    def options(self, chosen: Options) -> Options:
+    def options(self, base: Options) -> Options:
         """Return the run of a seed, with one of these casts."""
-        cast = self.casts[chosen.seed % len(self.casts)]
-        faults = self.faults or chosen.faults
-        return replace(chosen, cast=cast, faults=faults, pause=min(chosen.pause, 0.1), seconds=20.0)
+        cast = self.casts[base.seed % len(self.casts)]
+        faults = self.faults or base.faults
+        return replace(base, cast=cast, faults=faults, pause=min(base.pause, 0.1), seconds=20.0)
 
 
 @contextlib.contextmanager
@@ -58,10 +58,10 @@ def _answers_in_any_order() -> Iterator[None]:
 def _any_unit_answers() -> Iterator[None]:
     before = Line._judge
 
-    def judge(self: Any, found: Any, now: float) -> None:
-        asked = self._call
-        is_answer = isinstance(found, Frame) and asked is not None
-        before(self, found._replace(unit=asked.unit) if is_answer else found, now)
+    def judge(self: Any, frame: Any, now: float) -> None:
+        call = self._call
+        is_answer = isinstance(frame, Frame) and call is not None
+        before(self, frame._replace(unit=call.unit) if is_answer else frame, now)
 
     with patch.object(Line, "_judge", judge):
         yield

@@ -57,8 +57,8 @@ class Plant:
         return self.network.events.now
 
     def device(self, unit: int, points: RegisterMap = ONE, **options: Any) -> DeviceConfig:
-        given = {"interval": 1.0, "unit": unit, **options}
-        return DeviceConfig(f"device {unit}", self.url, points, **given)
+        settings = {"interval": 1.0, "unit": unit, **options}
+        return DeviceConfig(f"device {unit}", self.url, points, **settings)
 
     @asynccontextmanager
     async def polls(

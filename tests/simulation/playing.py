@@ -67,10 +67,10 @@ class Exchange:
 
     def raw(self) -> Iterator[str]:
         """Return a line for each piece: the time, the place, who sent it, and its bytes."""
-        for sent in self._sent:
-            arrow = "->" if sent.is_client else "<-"
-            where = f"{sent.place} {sent.connection}" if sent.connection else sent.place
-            yield f"{sent.at:10.4f}  {where:24} {arrow} {sent.data.hex(' ')}"
+        for message in self._sent:
+            arrow = "->" if message.is_client else "<-"
+            where = f"{message.place} {message.connection}" if message.connection else message.place
+            yield f"{message.at:10.4f}  {where:24} {arrow} {message.data.hex(' ')}"
 
 
 @dataclass
@@ -89,8 +89,8 @@ class Failure:
 
 def recorded() -> list[Options]:
     """Return the runs that failed once, oldest first."""
-    found = json.loads(Path(__file__).with_name("seeds.json").read_text())
-    return [Options(**{**each["run"], "faults": tuple(each["run"]["faults"])}) for each in found]
+    seeds = json.loads(Path(__file__).with_name("seeds.json").read_text())
+    return [Options(**{**each["run"], "faults": tuple(each["run"]["faults"])}) for each in seeds]
 
 
 def play(options: Options) -> World:
@@ -122,9 +122,9 @@ def shortest(failure: Failure, seconds: float = 10.0) -> Failure:
     while is_smaller and time.monotonic() < until:
         is_smaller = False
         for options in _smaller(failure.options):
-            found = tried(options)
-            if isinstance(found, Failure) and found.rule == failure.rule:
-                failure, is_smaller = found, True
+            outcome = tried(options)
+            if isinstance(outcome, Failure) and outcome.rule == failure.rule:
+                failure, is_smaller = outcome, True
                 break
     return failure
 
@@ -143,17 +143,17 @@ def _smaller(options: Options) -> Iterator[Options]:
 def _run(world: World) -> None:
     world.events.looks.append(world.witness.look)
     tap = world.network.tap
-    told = world.wire.tell
-    world.network.tap = told if tap is None else partial(_both, tap, told)
-    made = CASTS[world.options.cast]
+    tell = world.wire.tell
+    world.network.tap = tell if tap is None else partial(_both, tap, tell)
+    cast = CASTS[world.options.cast]
     state = random.getstate()
     random.seed(world.options.seed)  # of the pauses before connecting again
     try:
-        if inspect.iscoroutinefunction(made):
-            world.network.run(partial(made, world))
+        if inspect.iscoroutinefunction(cast):
+            world.network.run(partial(cast, world))
         else:
             with world.network.installed():
-                made(world)
+                cast(world)
     finally:
         random.setstate(state)
     world.witness.look()

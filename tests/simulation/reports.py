@@ -145,8 +145,8 @@ async def _poll(world: World, plc: AsyncClient, ask: Ask) -> None:
 async def _serve(world: World, plc: AsyncClient, ask: Ask) -> None:
     world.calm()
     for unit in _units(world):
-        answered = world.witness.answered
+        answers = world.witness.answered
         for _ in range(TRIES):
             await ask(plc, unit)
-        if world.witness.answered == answered:
+        if world.witness.answered == answers:
             world.witness.fail("a unit is asked again although others talk", f"unit {unit}")

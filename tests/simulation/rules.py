@@ -263,9 +263,9 @@ def _frames(data: bytes, has_header: bool, is_client: bool) -> list[tuple[bytes,
     if not has_header:
         size = 8 if is_client else len(data)
         return [(b"", data[at], data[at + 1 : at + size - 2]) for at in range(0, len(data), size)]
-    found = []
+    frames = []
     while len(data) >= 8:
         size = 6 + int.from_bytes(data[4:6], "big")
-        found.append((data[:2], data[6], data[7:size]))
+        frames.append((data[:2], data[6], data[7:size]))
         data = data[size:]
-    return found
+    return frames

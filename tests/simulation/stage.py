@@ -68,10 +68,10 @@ class Stage(Network):
     def __exit__(self, *raised: Any) -> None:
         with self._stack:
             self.pass_time(0)
-            left = cancel_all(self._loop)
+            tasks = cancel_all(self._loop)
         if raised[0] is None:
             assert not self._complaints, self._complaints
-            assert not left, left
+            assert not tasks, tasks
 
     @property
     def now(self) -> float:
@@ -136,12 +136,12 @@ class Stage(Network):
         opened = self.open_datagrams if is_udp else self.connect
         end, _ = opened(endpoint.host, endpoint.port, source)
         assert end is not None
-        made = Talker(self, end, timeout)
-        made.wait_to_write()
+        talker = Talker(self, end, timeout)
+        talker.wait_to_write()
         if number := end.getsockopt(0, 0):
             end.close()
             raise OSError(number, f"{target}: {errno.errorcode[number]}")
-        return made
+        return talker
 
 
 class _StageWaker(MemoryWaker):

@@ -89,9 +89,9 @@ class World:
             apart=APART,
             **{name: PROBABILITIES[name] for name in has},
         )
-        made = Unit(number, behaviour, self.events, self.witness.executed)
-        self.units.append(made)
-        return made
+        unit_ = Unit(number, behaviour, self.events, self.witness.executed)
+        self.units.append(unit_)
+        return unit_
 
     def bus(self, device: str, numbers: range, timeout: float, baudrate: int) -> None:
         """Put units on a line."""

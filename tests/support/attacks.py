@@ -75,13 +75,13 @@ def ask(connection: socket.socket, request: bytes, answer: bytes) -> None:
 
 
 @contextlib.contextmanager
-def descriptor_limit(wanted: int | None = None) -> Iterator[int]:
+def descriptor_limit(limit: int | None = None) -> Iterator[int]:
     """
     Set the limit of descriptors of this process and of those it starts. `wanted`: None for as many
     as there may be. Return how many there are.
     """
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
-    soft = before[1] if wanted is None else wanted
+    soft = before[1] if limit is None else limit
     resource.setrlimit(resource.RLIMIT_NOFILE, (soft, before[1]))
     try:
         yield soft
@@ -178,8 +178,8 @@ def pipeline(port: int, requests: int) -> None:
         for first in range(0, requests, BLOCK):
             numbers = [number & 0xFFFF for number in range(first, first + BLOCK)]
             connection.sendall(b"".join(adu(READ_ONE, number) for number in numbers))
-            expected = b"".join(adu(ANSWER_ONE, number) for number in numbers)
-            assert receive(connection, len(expected)) == expected
+            answers = b"".join(adu(ANSWER_ONE, number) for number in numbers)
+            assert receive(connection, len(answers)) == answers
 
 
 class Step(NamedTuple):

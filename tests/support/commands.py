@@ -169,11 +169,11 @@ class Started:
             "new_session": new_session,
         }
         self.returncode: int | None = None
-        with contextlib.ExitStack() as given:
+        with contextlib.ExitStack() as pipes:
             if stdin is None:
-                stdin = given.enter_context(open(os.devnull)).fileno()
-            self.stdout, stdout = _pipe(given, stdout)
-            self.stderr, stderr = _pipe(given, stderr)
+                stdin = pipes.enter_context(open(os.devnull)).fileno()
+            self.stdout, stdout = _pipe(pipes, stdout)
+            self.stderr, stderr = _pipe(pipes, stderr)
             self.pid = _fork(request, [stdin, stdout, stderr])
 
     def __enter__(self) -> Self:
@@ -198,8 +198,8 @@ class Started:
 
     def poll(self) -> int | None:
         if self.returncode is None:
-            found, status = os.waitpid(self.pid, os.WNOHANG)
-            if found:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
                 self.returncode = os.waitstatus_to_exitcode(status)
         return self.returncode
 
@@ -211,10 +211,10 @@ class Started:
         if self.poll() is None:
             descriptor = os.pidfd_open(self.pid)
             try:
-                ended, _, _ = select.select([descriptor], [], [], seconds)
+                readable, _, _ = select.select([descriptor], [], [], seconds)
             finally:
                 os.close(descriptor)
-            if not ended:
+            if not readable:
                 raise subprocess.TimeoutExpired(f"process {self.pid}", seconds)
         code = self.poll()
         assert code is not None
@@ -248,12 +248,12 @@ def ended(*arguments: object, stdout: int | None = None) -> Done:
     return Done(process.wait(), out, err)
 
 
-def _pipe(given: contextlib.ExitStack, descriptor: int | None) -> tuple[TextIO, int]:
+def _pipe(stack: contextlib.ExitStack, descriptor: int | None) -> tuple[TextIO, int]:
     """Return a stream to read from, which is empty if there is a descriptor, and where to write."""
     if descriptor is not None:
         return io.StringIO(), descriptor
     reading, writing = os.pipe()
-    given.callback(os.close, writing)
+    stack.callback(os.close, writing)
     return open(reading, encoding="utf-8", errors="replace"), writing
 
 

@@ -26,7 +26,7 @@ def named(identity: Identity | None) -> tuple[str | None, ...]:
     """Return what events must have of a certificate."""
     if identity is None:
         return (None,) * 4
-    found = x509.load_pem_x509_certificate(identity.pem)
-    fingerprint = found.fingerprint(SHA256()).hex()
-    subject, issuer = found.subject.rfc4514_string(), found.issuer.rfc4514_string()
-    return subject, f"{found.serial_number:x}", issuer, fingerprint
+    certificate = x509.load_pem_x509_certificate(identity.pem)
+    fingerprint = certificate.fingerprint(SHA256()).hex()
+    subject, issuer = certificate.subject.rfc4514_string(), certificate.issuer.rfc4514_string()
+    return subject, f"{certificate.serial_number:x}", issuer, fingerprint

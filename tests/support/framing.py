@@ -25,16 +25,16 @@ def take(framer: AnyFramer, data: bytes = b"") -> tuple[list[Frame], list[FrameE
     errors: list[FrameError] = []
     while True:
         try:
-            found = framer.feed(data)
+            results = framer.feed(data)
         except FrameError as error:
             errors.append(error)
             if not framer.in_step:
                 return frames, errors
-            found = []
+            results = []
         else:
-            if not found:
+            if not results:
                 return frames, errors
-        frames += found
+        frames += results
         data = b""
 
 

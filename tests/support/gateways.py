@@ -52,8 +52,8 @@ def passage(
     URLs; `route`: further arguments of the route; options: of the gateway; `stage`: where all of it
     is, in place of the system.
     """
-    given = {UNIT: make_device()} if devices is None else devices
-    with at_one_end(back, Server(given, faults=faults), stage, "back") as line:
+    units = {UNIT: make_device()} if devices is None else devices
+    with at_one_end(back, Server(units, faults=faults), stage, "back") as line:
         line += ("&" if "?" in line else "?") + line_options
         gateway = Gateway([Route(line, **(route or {}))], **options)
         with at_one_end(front, gateway, stage, "front") as url:

@@ -245,7 +245,7 @@ def exchanges() -> Iterator[Exchange]:
     most_coils = [coil(10), *other, coil(11 + 1968)]
     few_coils = [True, True, False, True, False]
     most_registers = [1100, *range(123), 1224]
-    for function, name, ask, look, seen in (
+    for function, name, ask, look, outcome in (
         (5, "on", call("write_coil", 10, True), coils(10, 2), [True, coil(11)]),
         (5, "off", call("write_coil", 12, False), coils(12, 2), [False, coil(13)]),
         (6, "few", call("write_register", 101, 65535), registers(100, 3), [1100, 65535, 1102]),
@@ -259,7 +259,7 @@ def exchanges() -> Iterator[Exchange]:
             *(registers(249, 3), [1249, 0xA5EF, 1251]),
         ),
     ):
-        yield Exchange(function, name, ask, None, look, seen)
+        yield Exchange(function, name, ask, None, look, outcome)
     ask = call("read_write_registers", 100, 2, 101, [7])
     yield Exchange(23, "few", ask, [1100, 7], registers(101, 2), [7, 1102])
     ask = call("read_write_registers", 100, 125, 104, range(121))

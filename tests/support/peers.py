@@ -401,7 +401,7 @@ def url_of(bound: socket.socket) -> str:
 def until(condition: Callable[[], T]) -> T:
     """Wait for another thread or process; return what the condition gives when that is true."""
     end = time.monotonic() + 30
-    while not (found := condition()):
+    while not (result := condition()):
         assert time.monotonic() < end, "waited in vain"
         time.sleep(0.001)
-    return found
+    return result

@@ -41,8 +41,8 @@ class SealedTalker:
     """
 
     def __init__(self, stage: Stage, port: int, source: str | None) -> None:
-        told = context(lasting_pki(), certificates.client(), VERSIONS["1.2"])
-        self._client = TlsClient(port, told, source=source or "", stage=stage)
+        context_ = context(lasting_pki(), certificates.client(), VERSIONS["1.2"])
+        self._client = TlsClient(port, context_, source=source or "", stage=stage)
         self._talker: Talker = self._client.socket
         self._client.handshake()
 
@@ -92,12 +92,12 @@ class Served:
         """Return True if a new connection is closed before it says anything."""
         return self._stage.talk(self.url, source).is_closed()
 
-    def counts(self, **expected: int) -> bool:
+    def counts(self, **numbers: int) -> bool:
         """Assert what it has counted of that, when all that was sent has arrived."""
         self._stage.pass_time(ROUND_TRIP)
         counted = asdict(self.statistics)
-        found = {name: counted[name] for name in expected}
-        assert found == expected, f"{found} in place of {expected}"
+        values = {name: counted[name] for name in numbers}
+        assert values == numbers, f"{values} in place of {numbers}"
         return True
 
 

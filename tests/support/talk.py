@@ -49,8 +49,8 @@ class Talk:
             forget_lines()
         endpoint = parse(url)
         most = 16 if endpoint.framing in ("tcp", "udp") else 1
-        given = {"max_in_flight": most, **options}
-        self.settings = checked_options(endpoint, given)
+        settings = {"max_in_flight": most, **options}
+        self.settings = checked_options(endpoint, settings)
         port = make_port(endpoint, self.settings)
         self.is_udp = endpoint.scheme == "udp"
         self.connection = Transactions(endpoint, self.settings, port)

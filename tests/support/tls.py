@@ -46,17 +46,17 @@ def context(
     A client's, which trusts the authority. `identity`: what it shows; None for no certificate;
     `version`: the one it speaks; None for what it can; `ciphers`: of TLS 1.2 and older.
     """
-    made = ssl.create_default_context(cafile=str(pki.ca))
+    context_ = ssl.create_default_context(cafile=str(pki.ca))
     if ciphers is not None:
-        made.set_ciphers(ciphers)
+        context_.set_ciphers(ciphers)
     if version is not None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of the old ones
-            made.minimum_version = made.maximum_version = version
+            context_.minimum_version = context_.maximum_version = version
     if identity is not None:
         files: Files = pki.files(identity)
-        made.load_cert_chain(files.cert, files.key)
-    return made
+        context_.load_cert_chain(files.cert, files.key)
+    return context_
 
 
 class TlsClient:
@@ -158,8 +158,8 @@ def connected(
     stage: Stage, pki: Pki, port: int, version: ssl.TLSVersion | None = None
 ) -> TlsClient:
     """Return a client on the stage that the server trusts, after the handshake."""
-    told = context(pki, certificates.client(), version)
-    return TlsClient(port, told, stage=stage).handshake()
+    context_ = context(pki, certificates.client(), version)
+    return TlsClient(port, context_, stage=stage).handshake()
 
 
 @contextlib.contextmanager
@@ -188,8 +188,8 @@ def hello(pki: Pki) -> bytes:
 
 
 def is_served(pki: Pki, port: int, stage: Stage | None = None) -> bool:
-    told = context(pki, certificates.client())
-    with TlsClient(port, told, stage=stage).handshake() as client:
+    context_ = context(pki, certificates.client())
+    with TlsClient(port, context_, stage=stage).handshake() as client:
         return client.is_answered()
 
 
