@@ -14,10 +14,10 @@ from libmodbus_py.tools.page.page import TOKEN
 from libmodbus_py.version import how_to_add
 from tests.cli.serving import serving
 from tests.support.cases import each_case
-from tests.support.commands import Done, run
+from tests.support.commands import Result, run
 
 
-def made(*arguments: object) -> Done:
+def made(*arguments: object) -> Result:
     return run("certificates", *arguments)
 
 
@@ -151,7 +151,7 @@ def test_what_cannot_be_written_leaves_no_half(tmp_path, monkeypatch) -> None:
     assert [each for each in tmp_path.rglob("*") if each.is_file()] == []
 
 
-def names_of(result: Done) -> dict[str, list[str]]:
+def names_of(result: Result) -> dict[str, list[str]]:
     """Return what --list printed: name -> serial number, days left and purpose."""
     assert (result.code, result.err) == (0, "")
     return {row[0]: row[1:] for row in (line.split() for line in result.out.splitlines())}

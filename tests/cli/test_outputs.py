@@ -16,7 +16,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server, pdu
 from tests.cli.serving import METER, meter
-from tests.support.commands import Started, ended, run
+from tests.support.commands import Started, run, run_forked
 from tests.support.golden import Golden
 from tests.support.sunspec import chain
 
@@ -140,7 +140,7 @@ def printed(command: str, url: str, folder: Path) -> list[str]:
     typed = {"URL": url, "HOST": url.partition("?")[0]}
     words = [word.replace("FOLDER", str(folder)) for word in shlex.split(command)]
     # Readings go to the descriptor of the standard output: poll needs a process.
-    call = ended if words[0] == "poll" else run
+    call = run_forked if words[0] == "poll" else run
     result = call(*(typed.get(word, word) for word in words))
     lines = [result.out.rstrip("\n")] if result.out else []
     lines += [f"stderr: {line}" for line in result.err.splitlines()]

@@ -14,7 +14,7 @@ from libmodbus_py import Device, Mapping, Server
 from tests.support import certificates
 from tests.support.certificates import Pki
 from tests.support.commands import run
-from tests.support.peers import dead
+from tests.support.peers import mute_port
 
 SECRET = "open sesame"
 
@@ -120,7 +120,7 @@ def test_an_option_overrides_the_url(own: list[str], url: str, pki: Pki) -> None
 
 def test_what_fails_is_told_in_one_line(own: list[str], url: str) -> None:
     where = ("holding", "0", *own)
-    with dead() as port:
+    with mute_port() as port:
         message = fails(1, "read", f"tls://127.0.0.1:{port}?timeout=0.3", *where)
     assert "127.0.0.1" in message
     message = fails(1, "read", url, *where, "--server-name", "other.example")

@@ -11,14 +11,14 @@ from libmodbus_py import IllegalDataAddress, ModbusConnectionError, pdu
 from libmodbus_py.client.call import Batch, Timeouts
 from libmodbus_py.client.reconnecting import State
 from libmodbus_py.ports.trace import Traced
+from tests.support.driver import ASCII, LINE, TCP, Driver, ascii_frame, kinds, tcp
 from tests.support.replies import BOTH, answer, exchange, refusal
-from tests.support.talk import ASCII, LINE, TCP, Talk, ascii_frame, kinds, tcp
 
 
 def test_a_trace_is_told_of_everything() -> None:
     for url, garbage in ((TCP, "0001 0007 0003 01 83 02"), (LINE, "55 AA 55 AA"), (ASCII, "3A")):
         told: list[Traced] = []
-        talk = Talk(url, trace=told.append, timeout=1)
+        talk = Driver(url, trace=told.append, timeout=1)
         talk.ask(5)
         noise = bytes.fromhex(garbage)
         right = ascii_frame("01 03 02 0005") if url == ASCII else answer(talk)
@@ -39,7 +39,7 @@ def test_a_trace_is_told_of_everything() -> None:
 
 def test_the_logger_of_the_wire_has_the_same(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.DEBUG, "libmodbus_py.wire"):
-        talk = Talk()
+        talk = Driver()
         talk.ask(0x6B, unit=17)
         talk.come(answer(talk))
     assert "> unit 17, function 3: 00 01 00 00 00 06 11 03 00 6b 00 01" in caplog.text
@@ -62,7 +62,7 @@ class Failing(pdu.ReadHoldingRegisters):
 )
 def test_what_a_request_class_raises_reaches_its_own_caller_only(url: str, error) -> None:
     kind = type("Kind", (Failing,), {"__slots__": (), "error": error})
-    talk = Talk(url)
+    talk = Driver(url)
     for go_on in (True, False):
         before, batch, after = (
             talk.ask(1),
@@ -93,7 +93,7 @@ def test_an_outcome_that_cannot_be_compared_harms_nobody() -> None:
         def _decode_response(self, pdu: bytes) -> Any:
             return Stubborn()
 
-    talk = Talk()
+    talk = Driver()
     batch = talk.ask(1, Array(2, 1), Array(3, 1), one_by_one=False)
     talk.come(answer(talk, 1), answer(talk, 2), refusal(talk, 2, 0))
     assert kinds(batch)[0] is IllegalDataAddress
@@ -101,7 +101,7 @@ def test_an_outcome_that_cannot_be_compared_harms_nobody() -> None:
 
 
 def test_requests_that_were_not_sent_are_no_sign_of_a_dead_device() -> None:
-    talk = Talk(timeout=1, max_in_flight=1)
+    talk = Driver(timeout=1, max_in_flight=1)
     talk.ask(1)
     for each in [talk.ask(2), talk.ask(3), talk.ask(4)]:
         talk.cancel(each)
@@ -113,7 +113,7 @@ def test_requests_that_were_not_sent_are_no_sign_of_a_dead_device() -> None:
 
 
 def test_requests_go_out_before_answers_are_decoded() -> None:
-    talk = Talk(max_in_flight=2)
+    talk = Driver(max_in_flight=2)
     batches = [talk.ask(1), talk.ask(2), talk.ask(3)]
     talk.connection.take([tcp(talk.sent[0])], talk.now)
     talk.start()
@@ -125,7 +125,7 @@ def test_requests_go_out_before_answers_are_decoded() -> None:
 
 
 def test_a_batch_that_failed_while_it_waited_can_be_left() -> None:
-    talk = Talk(max_in_flight=4)
+    talk = Driver(max_in_flight=4)
     batch = talk.ask(*range(9), one_by_one=False)
     assert len(talk.sent) == 4
     talk.come(tcp(talk.sent[3], "83 02"))
@@ -139,7 +139,7 @@ INTERRUPTED = ModbusConnectionError("interrupted", errno=errno.EINTR)
 
 @BOTH
 def test_nothing_is_left_of_what_was_interrupted(url: str) -> None:
-    talk = Talk(url, timeout=1, busy_retries=1, turnaround=0.5)
+    talk = Driver(url, timeout=1, busy_retries=1, turnaround=0.5)
     busy = talk.ask(1)
     talk.come(refusal(talk, 6))
     everyone = talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
@@ -158,7 +158,7 @@ def test_nothing_is_left_of_what_was_interrupted(url: str) -> None:
 
 
 def test_an_attempt_that_was_interrupted_is_given_up() -> None:
-    talk = Talk(is_open=False)
+    talk = Driver(is_open=False)
     talk.ask(1)
     talk.life.connecting()
     talk.connection.interrupted(INTERRUPTED, talk.now)
@@ -169,7 +169,7 @@ def test_an_attempt_that_was_interrupted_is_given_up() -> None:
 
 
 def test_a_connection_that_was_lost_begins_with_nothing_in_flight() -> None:
-    talk = Talk(LINE, turnaround=5)
+    talk = Driver(LINE, turnaround=5)
     everyone = talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
     talk.lose()
     assert kinds(everyone) == [ModbusConnectionError]

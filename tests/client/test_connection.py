@@ -4,13 +4,13 @@ import pytest
 
 from libmodbus_py import ModbusConnectionError, ModbusTimeoutError, pdu
 from libmodbus_py.client.call import NOT_ASKED
-from tests.support.replies import BOTH, addresses, answer, refusal, unanswered
-from tests.support.talk import LINE, LOST, TCP, Talk, kinds, tcp
+from tests.support.driver import LINE, LOST, TCP, Driver, kinds, tcp
+from tests.support.replies import BOTH, addresses, answer, refusal, time_out
 
 
 @BOTH
 def test_a_request_has_its_time_and_no_more(url: str) -> None:
-    talk = Talk(url, timeout=1)
+    talk = Driver(url, timeout=1)
     batch = talk.ask(5)
     talk.wait(0.999)
     assert not batch.is_done
@@ -24,7 +24,7 @@ def test_a_request_has_its_time_and_no_more(url: str) -> None:
 
 
 def test_waiting_for_others_requests_does_not_count() -> None:
-    talk = Talk(LINE, timeout=1)
+    talk = Driver(LINE, timeout=1)
     batches = [talk.ask(number) for number in range(5)]
     for _ in range(5):
         talk.wait(0.9)
@@ -34,7 +34,7 @@ def test_waiting_for_others_requests_does_not_count() -> None:
 
 @BOTH
 def test_waiting_for_the_connection_counts(url: str) -> None:
-    talk = Talk(url, timeout=1, is_open=False)
+    talk = Driver(url, timeout=1, is_open=False)
     batch = talk.ask(1, 2)
     talk.life.connecting()
     talk.wait(0.7)
@@ -47,7 +47,7 @@ def test_waiting_for_the_connection_counts(url: str) -> None:
 
 
 def test_who_has_waited_for_a_connection_for_too_long_is_told_so() -> None:
-    talk = Talk(timeout=1, is_open=False)
+    talk = Driver(timeout=1, is_open=False)
     short, batch, joining = talk.ask(1, timeout=0.5), talk.ask(2, 3, go_on=True), talk.join()
     talk.life.connecting()
     talk.wait(0.5)
@@ -62,10 +62,10 @@ def test_who_has_waited_for_a_connection_for_too_long_is_told_so() -> None:
 
 
 def test_after_three_timeouts_in_a_row_the_next_request_goes_over_a_new_connection() -> None:
-    talk = Talk(timeout=1)
+    talk = Driver(timeout=1)
     for _ in range(3):
         assert talk.connection.broken is None
-        unanswered(talk)
+        time_out(talk)
     batch = talk.ask(7)
     assert len(talk.sent) == 3
     talk.replace_broken()
@@ -76,7 +76,7 @@ def test_after_three_timeouts_in_a_row_the_next_request_goes_over_a_new_connecti
 
 def test_a_dumb_host_is_asked_again_over_and_over() -> None:
     """Whoever polls a dead device behind a gateway finds it as soon as it is back."""
-    talk = Talk(timeout=1)
+    talk = Driver(timeout=1)
     for _ in range(20):
         batch = talk.ask(1)
         if talk.connection.broken:
@@ -90,7 +90,7 @@ def test_a_dumb_host_is_asked_again_over_and_over() -> None:
 
 
 def test_cancelled_requests_count_as_unanswered() -> None:
-    talk = Talk(timeout=1)
+    talk = Driver(timeout=1)
     for _ in range(3):
         batch = talk.ask(1)
         talk.wait(0.2)
@@ -101,9 +101,9 @@ def test_cancelled_requests_count_as_unanswered() -> None:
 
 @pytest.mark.parametrize("life", ["its answer", "a late answer", "another's answer", "a refusal"])
 def test_any_sign_of_life_starts_the_count_anew(life: str) -> None:
-    talk = Talk(timeout=1)
+    talk = Driver(timeout=1)
     for _ in range(2):
-        unanswered(talk)
+        time_out(talk)
     if life == "a late answer":
         talk.come(answer(talk, 0))
     elif life == "another's answer":
@@ -113,13 +113,13 @@ def test_any_sign_of_life_starts_the_count_anew(life: str) -> None:
         talk.ask(2)
         talk.come(answer(talk) if life == "its answer" else refusal(talk, 2))
     for _ in range(2):
-        unanswered(talk)
+        time_out(talk)
     talk.ask(1)
     assert talk.connection.broken is None
 
 
 def test_an_answer_to_nobody_is_no_sign_of_life() -> None:
-    talk = Talk(timeout=1)
+    talk = Driver(timeout=1)
     for _ in range(3):
         talk.ask(1)
         talk.come(tcp(talk.sent[-1], number=999))
@@ -129,7 +129,7 @@ def test_an_answer_to_nobody_is_no_sign_of_life() -> None:
 
 
 def test_requests_that_were_sent_before_the_last_answer_do_not_count() -> None:
-    talk = Talk(timeout=1)
+    talk = Driver(timeout=1)
     for _ in range(5):
         talk.ask(1)
     talk.wait(0.5)
@@ -141,7 +141,7 @@ def test_requests_that_were_sent_before_the_last_answer_do_not_count() -> None:
 
 
 def test_a_serial_port_never_counts_as_dead() -> None:
-    talk = Talk(LINE, timeout=0.1)
+    talk = Driver(LINE, timeout=0.1)
     for _ in range(10):
         talk.ask(1)
         talk.wait(0.3)
@@ -150,7 +150,7 @@ def test_a_serial_port_never_counts_as_dead() -> None:
 
 @BOTH
 def test_what_is_in_flight_fails_and_the_queue_waits_for_the_next_connection(url: str) -> None:
-    talk = Talk(url, timeout=1, **({"max_in_flight": 2} if url == TCP else {}))
+    talk = Driver(url, timeout=1, **({"max_in_flight": 2} if url == TCP else {}))
     batches = [talk.ask(number) for number in range(4)]
     in_flight = len(talk.sent)
     talk.lose()
@@ -165,7 +165,7 @@ def test_what_is_in_flight_fails_and_the_queue_waits_for_the_next_connection(url
 
 
 def test_every_request_has_an_error_of_its_own() -> None:
-    talk = Talk()
+    talk = Driver()
     batch = talk.ask(1, 2, 3, one_by_one=False, go_on=True)
     talk.lose()
     assert len({id(each) for each in batch.outcomes}) == 3
@@ -174,18 +174,18 @@ def test_every_request_has_an_error_of_its_own() -> None:
 
 
 def test_nobody_has_a_connection_made_for_a_batch_that_is_decided() -> None:
-    talk = Talk()
+    talk = Driver()
     batch = talk.ask(1, 2)
     talk.lose()
     assert kinds(batch) == [ModbusConnectionError, NOT_ASKED]
     assert not talk.connection.is_wanted
-    talk = Talk(is_open=False)
+    talk = Driver(is_open=False)
     talk.cancel(talk.ask(1))
     assert not talk.connection.is_wanted
 
 
 def test_three_fruitless_connections_fail_all_who_wait() -> None:
-    talk = Talk(max_in_flight=1)
+    talk = Driver(max_in_flight=1)
     batch = talk.ask(*range(10), go_on=True)
     for number in range(3):
         assert len(talk.sent) == number + 1
@@ -198,7 +198,7 @@ def test_three_fruitless_connections_fail_all_who_wait() -> None:
 
 
 def test_an_answer_between_makes_connections_fruitful() -> None:
-    talk = Talk(max_in_flight=1)
+    talk = Driver(max_in_flight=1)
     batch = talk.ask(*range(10), go_on=True)
     for _ in range(10):
         talk.come(answer(talk))
@@ -209,7 +209,7 @@ def test_an_answer_between_makes_connections_fruitful() -> None:
 
 
 def test_all_who_wait_share_one_attempt_and_its_failure() -> None:
-    talk = Talk(is_open=False)
+    talk = Driver(is_open=False)
     batches = [talk.ask(number) for number in range(3)]
     joining, left = talk.join(), talk.join()
     talk.connection.withdraw(left, talk.now)
@@ -224,7 +224,7 @@ def test_all_who_wait_share_one_attempt_and_its_failure() -> None:
 
 
 def test_a_broadcast_that_was_cancelled_still_has_the_line() -> None:
-    talk = Talk(LINE, turnaround=0.2)
+    talk = Driver(LINE, turnaround=0.2)
     talk.cancel(talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True))
     talk.ask(5)
     talk.wait(0.19)
@@ -235,7 +235,7 @@ def test_a_broadcast_that_was_cancelled_still_has_the_line() -> None:
 
 def test_a_request_that_nobody_answers_makes_a_batch_go_one_by_one() -> None:
     silent = pdu.Diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY, b"\0\0")
-    talk = Talk(turnaround=0.1)
+    talk = Driver(turnaround=0.1)
     batch = talk.ask(1, silent, 2, one_by_one=False)
     assert len(talk.sent) == 1
     talk.come(answer(talk))

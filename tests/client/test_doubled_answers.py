@@ -8,9 +8,9 @@ import pytest
 from libmodbus_py import InvalidResponse, pdu
 from libmodbus_py.client.history import REMEMBERED, Pair
 from tests.support.clients import World, read
+from tests.support.driver import Driver, kinds, rtu, small_memory, value
 from tests.support.peers import Write, answer
-from tests.support.replies import exchange, unanswered
-from tests.support.talk import Talk, kinds, little_kept, rtu, value
+from tests.support.replies import exchange, time_out
 
 LINE = "rtu:///dev/nowhere?silence=0"
 
@@ -56,7 +56,7 @@ def test_a_copy_right_behind_each_answer_is_never_the_next_value(world: World, s
         assert failures(client, 20) < 10
 
 
-def asked(talk: Talk, address: int, *answers: tuple[float, bytes]) -> object:
+def asked(talk: Driver, address: int, *answers: tuple[float, bytes]) -> object:
     """Return the outcome of a read to which such answers come, each after so many seconds."""
     talk.wait(0.05)
     batch, start = talk.ask(address), talk.now
@@ -67,9 +67,9 @@ def asked(talk: Talk, address: int, *answers: tuple[float, bytes]) -> object:
     return batch.outcomes[0]
 
 
-def warm() -> Talk:
+def warm() -> Driver:
     """Return a talk whose unit answers after 10 ms."""
-    talk = Talk(LINE, timeout=1)
+    talk = Driver(LINE, timeout=1)
     for each in range(1, 20):
         assert asked(talk, each, (0.01, value(each))) == [each]
     return talk
@@ -87,7 +87,7 @@ def test_what_several_registers_have_in_common_is_believed() -> None:
 def test_an_answer_that_is_doubted_behind_an_echo_is_not_taken_for_damage() -> None:
     """The echo of a write is not a frame of an answer, but it begins as its answer does."""
     write = pdu.WriteRegisters(1, [1, 2])
-    talk = Talk(LINE, timeout=1)
+    talk = Driver(LINE, timeout=1)
     for after in (0.01, 0.001):
         batch, start = talk.ask(write), talk.now
         talk.wait_until(start + after)
@@ -109,7 +109,7 @@ def test_answers_of_a_unit_that_became_faster_are_held_once() -> None:
 
 def test_answers_that_vary_in_time_are_believed_at_once() -> None:
     """As on a network, where the time of one says little of the next."""
-    talk, chance, held = Talk(LINE, timeout=1), random.Random(1), 0
+    talk, chance, held = Driver(LINE, timeout=1), random.Random(1), 0
     for each in range(1, 2000):
         batch = talk.ask(each)
         talk.wait(0.002 + chance.expovariate(200))
@@ -123,7 +123,7 @@ def test_answers_that_vary_in_time_are_believed_at_once() -> None:
 def test_polls_of_values_that_flip_take_no_longer_than_others() -> None:
     chance, seconds = random.Random(1), {}
     for name, most in (("different", None), ("constant", 0), ("flip", 1), ("few", 15)):
-        talk = Talk(LINE, timeout=1)
+        talk = Driver(LINE, timeout=1)
         for each in range(3000):
             batch = talk.ask(each % 10)
             talk.wait(chance.uniform(0.004, 0.006))
@@ -138,7 +138,7 @@ def test_polls_of_values_that_flip_take_no_longer_than_others() -> None:
 def test_values_are_right_again_after_a_pause(pause: float) -> None:
     """Longer than a response takes, which is 10 ms."""
     talk = warm()
-    unanswered(talk, 100)
+    time_out(talk, 100)
     present = talk.ask(101)
     talk.wait(0.9)  # the line must be silent
     talk.wait(0.01)
@@ -170,7 +170,7 @@ def test_what_changes_for_ever_takes_no_more_memory() -> None:
 
     for count in range(2 * REMEMBERED):
         note(count)
-    with little_kept():
+    with small_memory():
         for count in range(2 * REMEMBERED, 5 * REMEMBERED):
             note(count)
     assert pair.slowest == 0.1

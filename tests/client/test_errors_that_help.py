@@ -11,8 +11,8 @@ from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusError
 from libmodbus_py.client.outcomes import explain
 from tests.support.cases import each_case
 from tests.support.clients import ALL, World, asking, read
+from tests.support.driver import Driver, ascii_frame, rtu, tcp
 from tests.support.peers import FakeServer, answering, mbap
-from tests.support.talk import Talk, ascii_frame, rtu, tcp
 
 NOISE = bytes(range(0x70, 0xF0))
 
@@ -144,7 +144,7 @@ def test_another_framing_is_recognised(scheme: str, received: str, hint: str) ->
 def test_tls_is_named_where_a_request_was_answered_by_the_end_of_a_new_connection(
     answered: bool, asks: bool, by_itself: bool, is_told: bool
 ) -> None:
-    talk = Talk()
+    talk = Driver()
     if answered:
         talk.ask(1)
         talk.come(tcp(talk.sent[0]))

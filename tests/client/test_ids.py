@@ -5,12 +5,12 @@ import random
 import pytest
 
 from libmodbus_py import FrameError, ModbusConnectionError, ModbusTimeoutError, Traced, pdu
+from tests.support.driver import Driver, kinds, tcp
 from tests.support.replies import exchange
-from tests.support.talk import Talk, kinds, tcp
 
 
 def test_a_request_has_the_header_of_the_specification() -> None:
-    talk = Talk()
+    talk = Driver()
     talk.ask(0x6B, unit=0x11)
     assert talk.sent == [bytes.fromhex("0001 0000 0006 11 03 006B 0001")]
 
@@ -18,7 +18,7 @@ def test_a_request_has_the_header_of_the_specification() -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_answers_may_come_in_any_pieces(seed: int) -> None:
     chance = random.Random(seed)
-    talk = Talk()
+    talk = Driver()
     batch = talk.ask(*range(10), one_by_one=False)
     data = b"".join(tcp(each) for each in talk.sent)
     while data:
@@ -30,7 +30,7 @@ def test_answers_may_come_in_any_pieces(seed: int) -> None:
 
 @pytest.mark.parametrize("limit", [1, 3, 16, 99])
 def test_a_batch_has_as_many_in_flight_as_the_client_may(limit: int) -> None:
-    talk = Talk(max_in_flight=limit)
+    talk = Driver(max_in_flight=limit)
     batch, most = talk.ask(*range(40), one_by_one=limit == 1), min(limit, 40)
     assert len(talk.sent) == most
     talk.come(tcp(talk.sent[most // 2]))
@@ -44,7 +44,7 @@ def test_a_batch_has_as_many_in_flight_as_the_client_may(limit: int) -> None:
 
 
 def test_callers_take_turns() -> None:
-    talk = Talk(max_in_flight=2)
+    talk = Driver(max_in_flight=2)
     talk.ask(*range(10), one_by_one=False)
     talk.ask(100)
     talk.ask(200)
@@ -54,7 +54,7 @@ def test_callers_take_turns() -> None:
 
 
 def test_an_id_that_nobody_had_answers_nobody_and_is_shown_at_the_end() -> None:
-    talk = Talk(timeout=1)
+    talk = Driver(timeout=1)
     batch = talk.ask(1)
     stranger = tcp(talk.sent[0], number=999)
     talk.come(stranger)
@@ -68,7 +68,7 @@ def test_an_id_that_nobody_had_answers_nobody_and_is_shown_at_the_end() -> None:
 
 @pytest.mark.parametrize("length", [0, 1, 255, 0xFFFF])
 def test_a_length_that_cannot_be_fails_all_and_breaks_the_connection(length: int) -> None:
-    talk = Talk()
+    talk = Driver()
     batches = [talk.ask(1), talk.ask(2)]
     talk.come(b"\0\1\0\0" + length.to_bytes(2, "big") + b"\1\3")
     assert [kinds(batch) for batch in batches] == [[FrameError]] * 2
@@ -82,7 +82,7 @@ def test_a_length_that_cannot_be_fails_all_and_breaks_the_connection(length: int
 
 
 def test_what_nobody_asked_for_breaks_the_connection_after_64_kib() -> None:
-    talk = Talk()
+    talk = Driver()
     frame = bytes.fromhex("7777 0000 00FE 01 03 FA") + bytes(251)
     for _ in range(0x10000 // 260):
         talk.come(frame)
@@ -97,7 +97,7 @@ def test_what_nobody_asked_for_breaks_the_connection_after_64_kib() -> None:
 
 
 def test_a_request_that_nobody_answers_takes_the_turnaround_before_the_next_one() -> None:
-    talk = Talk(turnaround=0.1)
+    talk = Driver(turnaround=0.1)
     silent = talk.ask(pdu.Diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY, b"\0\0"))
     other = talk.ask(5)
     talk.wait(0.09)
@@ -113,18 +113,18 @@ def test_a_request_that_nobody_answers_takes_the_turnaround_before_the_next_one(
 
 def test_what_comes_before_the_first_request_is_traced_too() -> None:
     seen: list[Traced] = []
-    talk = Talk(trace=seen.append)
+    talk = Driver(trace=seen.append)
     frame = bytes.fromhex("0009 0000 0005 01 03 02 0007")
     talk.come(frame)
     assert [(each.direction, each.adu) for each in seen] == [("received", frame)]
 
 
-def ids(talk: Talk) -> list[int]:
+def ids(talk: Driver) -> list[int]:
     return [int.from_bytes(adu[:2], "big") for adu in talk.sent]
 
 
 def test_ids_count_up_and_begin_anew() -> None:
-    talk = Talk()
+    talk = Driver()
     talk.matching._last = 0xFFFD
     for address in range(4):
         exchange(talk, address)
@@ -132,7 +132,7 @@ def test_ids_count_up_and_begin_anew() -> None:
 
 
 def test_an_id_in_flight_or_owed_is_skipped() -> None:
-    talk = Talk(timeout=1.0, retries=0)
+    talk = Driver(timeout=1.0, retries=0)
     talk.ask(1, go_on=True)
     talk.wait(1.0)
     talk.ask(2)

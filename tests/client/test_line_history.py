@@ -12,26 +12,26 @@ from libmodbus_py import InvalidResponse, ModbusError, pdu
 from libmodbus_py.client.history import REMEMBERED, History, history_of
 from libmodbus_py.ports.endpoint import parse
 from tests.support.cases import each_case
-from tests.support.replies import exchange, unanswered
-from tests.support.talk import LINE, Talk, kinds, value
+from tests.support.driver import LINE, Driver, kinds, value
+from tests.support.replies import exchange, time_out
 
 
-def closed(talk: Talk) -> Talk:
+def closed(talk: Driver) -> Driver:
     talk.connection.closed(talk.now)
     return talk
 
 
-def asked_twice(url: str = LINE) -> Talk:
+def asked_twice(url: str = LINE) -> Driver:
     """Return a client that was closed while unit 1 owes an answer; its answers take 10 ms."""
-    talk = Talk(url, timeout=1)
+    talk = Driver(url, timeout=1)
     exchange(talk, 1, after=0.01)
-    unanswered(talk, 2)
+    time_out(talk, 2)
     return closed(talk)
 
 
 def test_a_late_answer_is_no_value_of_the_next_client() -> None:
     former = asked_twice()
-    talk = Talk(LINE, after=former, is_new=True, timeout=1)
+    talk = Driver(LINE, after=former, is_new=True, timeout=1)
     batch = talk.ask(3)
     talk.wait_for(1)
     assert talk.times == pytest.approx([former.now + 0.02])
@@ -43,18 +43,18 @@ def test_a_late_answer_is_no_value_of_the_next_client() -> None:
 
 
 def test_a_request_in_flight_when_its_client_is_closed_leaves_doubt() -> None:
-    former = Talk(LINE, timeout=1)
+    former = Driver(LINE, timeout=1)
     exchange(former, 1, after=0.01)
     former.ask(2)
-    talk = Talk(LINE, after=closed(former), timeout=1)
+    talk = Driver(LINE, after=closed(former), timeout=1)
     talk.ask(3)
     assert talk.sent == []
 
 
 def test_the_first_answer_after_opening_a_known_line_is_held_for_twice_the_slowest() -> None:
-    former = Talk(LINE, timeout=1)
+    former = Driver(LINE, timeout=1)
     exchange(former, 1, after=0.01)
-    talk = Talk(LINE, after=closed(former), is_new=True, timeout=1)
+    talk = Driver(LINE, after=closed(former), is_new=True, timeout=1)
     batch = talk.ask(2)
     talk.wait(0.01)
     talk.come(value(2))
@@ -70,7 +70,7 @@ def test_a_client_for_each_poll_has_no_value_of_another_request(url: str) -> Non
     """Of 2 000 answers each 40th is late by 1 to 50 ms, and comes to the next client, too."""
     chance, former, count, late = random.Random(1), None, 0, []
     for _ in range(400):
-        former = talk = Talk(url, after=former, is_new=True, timeout=0.1)
+        former = talk = Driver(url, after=former, is_new=True, timeout=0.1)
         for address in range(1, 6):
             sent = len(talk.sent) + 1
             batch = talk.ask(address)
@@ -91,7 +91,7 @@ def test_a_client_for_each_poll_has_no_value_of_another_request(url: str) -> Non
 
 
 def test_the_first_answer_is_held_until_the_line_has_been_open_for_60_ms() -> None:
-    talk = Talk(LINE, is_new=True, timeout=1)
+    talk = Driver(LINE, is_new=True, timeout=1)
     batch = talk.ask(1)
     talk.wait(0.005)
     talk.come(value(1))
@@ -103,7 +103,7 @@ def test_the_first_answer_is_held_until_the_line_has_been_open_for_60_ms() -> No
 
 
 def test_an_answer_that_takes_longer_than_20_ms_is_held_for_twice_its_time() -> None:
-    talk = Talk(LINE, is_new=True, timeout=1)
+    talk = Driver(LINE, is_new=True, timeout=1)
     batch = talk.ask(1)
     talk.wait(0.1)
     talk.come(value(1))
@@ -114,7 +114,7 @@ def test_an_answer_that_takes_longer_than_20_ms_is_held_for_twice_its_time() -> 
 
 
 def test_a_line_that_has_been_open_and_silent_has_no_answer_under_way() -> None:
-    talk = Talk(LINE, is_new=True, timeout=1)
+    talk = Driver(LINE, is_new=True, timeout=1)
     talk.wait(1)
     exchange(talk, 1, after=0.005)
 
@@ -123,7 +123,7 @@ def test_a_line_that_has_been_open_and_silent_has_no_answer_under_way() -> None:
 @each_case("is_polled", [True, False])
 def test_an_answer_to_another_program_is_no_value(late: float, is_polled: bool) -> None:
     """The unit answers each request after 5 ms, and one of another program in between."""
-    talk = Talk(LINE, is_new=True, timeout=1)
+    talk = Driver(LINE, is_new=True, timeout=1)
     start, failures = talk.now, 0
     for address in range(1, 30):
         count = len(talk.sent) + 1
@@ -191,7 +191,7 @@ def test_threads_that_open_a_line_at_once_share_what_is_known() -> None:
 
 
 def test_what_is_known_keeps_no_request_alive() -> None:
-    talk = Talk(LINE, timeout=1)
+    talk = Driver(LINE, timeout=1)
     talk.ask(pdu.ReadHoldingRegisters(1, 1))
     talk.wait(1)
     history: History = talk.matching._history

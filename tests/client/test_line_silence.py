@@ -7,18 +7,18 @@ import pytest
 from libmodbus_py import InvalidResponse, ModbusError, ModbusTimeoutError, pdu
 from libmodbus_py.ports.trace import Traced
 from tests.support.cases import each_case
-from tests.support.replies import exchange, unanswered
-from tests.support.talk import LINE, Talk, kinds, little_kept, value
+from tests.support.driver import LINE, Driver, kinds, small_memory, value
+from tests.support.replies import exchange, time_out
 
 
-def units(talk: Talk) -> list[int]:
+def units(talk: Driver) -> list[int]:
     """Return who was asked."""
     return [adu[0] for adu in talk.sent]
 
 
-def learnt(*unit: int) -> Talk:
+def learnt(*unit: int) -> Driver:
     """Return a line whose units have answered at once: HOLD is as short as can be."""
-    talk = Talk(LINE, timeout=1)
+    talk = Driver(LINE, timeout=1)
     for each in unit:
         exchange(talk, 1, unit=each)
     talk.forget()
@@ -27,7 +27,7 @@ def learnt(*unit: int) -> Talk:
 
 def test_a_late_answer_in_another_units_turn_is_dropped_and_starts_the_silence_anew() -> None:
     talk = learnt(1, 2)
-    unanswered(talk, 0, unit=1)
+    time_out(talk, 0, unit=1)
     other = talk.ask(6, unit=2)
     talk.wait_until(1.5)
     talk.come(value(0, unit=1))
@@ -45,7 +45,7 @@ def test_a_late_answer_in_another_units_turn_is_dropped_and_starts_the_silence_a
 
 
 def test_the_silence_is_as_long_as_the_timeout_of_the_request_that_failed() -> None:
-    talk = Talk(LINE, timeout=5)
+    talk = Driver(LINE, timeout=5)
     talk.ask(5, timeout=0.3)
     talk.wait(0.3)
     talk.ask(6)
@@ -53,7 +53,7 @@ def test_the_silence_is_as_long_as_the_timeout_of_the_request_that_failed() -> N
     assert talk.times == pytest.approx([0, 0.6])
 
 
-def send_slowly(talk: Talk, data: bytes, seconds: float) -> None:
+def send_slowly(talk: Driver, data: bytes, seconds: float) -> None:
     """Bytes every 100 ms."""
     for _ in range(round(seconds * 10)):
         talk.come(data)
@@ -62,8 +62,8 @@ def send_slowly(talk: Talk, data: bytes, seconds: float) -> None:
 
 @pytest.mark.parametrize("data", [b"\x01", b"\x01\x03" * 50])
 def test_a_unit_that_does_not_fall_silent_is_asked_after_one_timeout(data: bytes) -> None:
-    talk = Talk(LINE, timeout=1)
-    unanswered(talk, 0)
+    talk = Driver(LINE, timeout=1)
+    time_out(talk, 0)
     batch = talk.ask(6)
     send_slowly(talk, data, 0.9)
     assert len(talk.sent) == 1
@@ -75,7 +75,7 @@ def test_a_unit_that_does_not_fall_silent_is_asked_after_one_timeout(data: bytes
 
 def test_what_is_sent_without_silence_has_its_answer_on_hold() -> None:
     talk = learnt(1)
-    unanswered(talk, 0)
+    time_out(talk, 0)
     for frame, result in ((value(0), InvalidResponse), (b"", [7])):
         batch = talk.ask(7)
         send_slowly(talk, value(0)[:2], 1.0)
@@ -89,7 +89,7 @@ def test_what_is_sent_without_silence_has_its_answer_on_hold() -> None:
 
 
 def test_a_repetition_does_not_wait_for_ever_for_silence() -> None:
-    talk = Talk(LINE, timeout=1, retries=1)
+    talk = Driver(LINE, timeout=1, retries=1)
     batch = talk.ask(6)
     talk.wait(1)
     send_slowly(talk, b"\x01", 2.2)
@@ -99,7 +99,7 @@ def test_a_repetition_does_not_wait_for_ever_for_silence() -> None:
 
 def test_a_caller_that_left_does_not_shorten_the_patience_of_the_next() -> None:
     talk = learnt(1)
-    unanswered(talk, 0)
+    time_out(talk, 0)
     leaving = talk.ask(6)
     send_slowly(talk, b"\x01", 0.5)
     talk.cancel(leaving)
@@ -112,7 +112,7 @@ def test_a_caller_that_left_does_not_shorten_the_patience_of_the_next() -> None:
 def test_one_lost_answer_on_a_busy_line_costs_one_timeout(others: tuple[float, float]) -> None:
     """Another master polls unit 9, and stray bytes come: unit 1 is asked again, and answers."""
     frames, strays = others
-    talk = Talk(LINE, timeout=1)
+    talk = Driver(LINE, timeout=1)
     events = [(at * frames, value(7, unit=9)) for at in range(1, 20)]
     events += [(at * strays, b"\xff") for at in range(1, 20)]
 
@@ -138,7 +138,7 @@ def test_one_lost_answer_on_a_busy_line_costs_one_timeout(others: tuple[float, f
 def test_the_clock_rests_after_half_an_answer() -> None:
     """An alarm that lay in the past would have an event loop spin."""
     for end in ("timeout", "cancelled", "lost"):
-        talk = Talk("rtu+tcp://192.0.2.1", timeout=1)
+        talk = Driver("rtu+tcp://192.0.2.1", timeout=1)
         batch = talk.ask(1)
         talk.wait(0.99)
         talk.come(value(1)[:4])
@@ -154,7 +154,7 @@ def test_the_clock_rests_after_half_an_answer() -> None:
 
 
 def test_only_the_unit_that_owes_an_answer_is_left_alone() -> None:
-    talk = Talk(LINE, timeout=0.1)
+    talk = Driver(LINE, timeout=0.1)
     talk.ask(1, unit=7)
     talk.wait(0.1)
     assert talk.matching.ready_at(7) == talk.matching.ready_at(7, 3) == 0.2
@@ -164,7 +164,7 @@ def test_only_the_unit_that_owes_an_answer_is_left_alone() -> None:
 
 
 def test_an_answer_is_a_sign_of_life_on_lines_over_networks() -> None:
-    talk = Talk("rtu+tcp://192.0.2.1", timeout=1)
+    talk = Driver("rtu+tcp://192.0.2.1", timeout=1)
     for number in range(8):
         batch = talk.ask(number)
         talk.wait_for(number + 1)
@@ -181,7 +181,7 @@ def test_an_answer_is_a_sign_of_life_on_lines_over_networks() -> None:
 
 def test_a_broadcast_waits_for_the_calls_before_it_and_for_no_doubt() -> None:
     """Unit 1 owes an answer: a broadcast goes at once, but not before a request to unit 1."""
-    talk = Talk(LINE, timeout=1, turnaround=0.1)
+    talk = Driver(LINE, timeout=1, turnaround=0.1)
     talk.ask(1, unit=1)
     talk.wait(1.0)
     talk.ask(pdu.WriteRegister(1, 1), unit=0, is_broadcast=True)
@@ -200,7 +200,7 @@ def test_a_broadcast_waits_for_the_calls_before_it_and_for_no_doubt() -> None:
 
 @pytest.mark.parametrize("left", ["01 03 FA 00", "01", "01 83", "01 03 02 00 07 00"])
 def test_half_a_frame_that_was_left_is_not_put_before_the_next_answer(left: str) -> None:
-    talk = Talk(LINE, timeout=1)
+    talk = Driver(LINE, timeout=1)
     talk.ask(1)
     talk.come(bytes.fromhex(left))
     talk.wait(1.0)
@@ -217,7 +217,7 @@ def test_the_first_600_bytes_of_a_flood_are_kept() -> None:
     """Of what comes in place of an answer."""
     pieces = [bytes([0x80 + number]) * 250 for number in range(8)]
     kept = b"".join(pieces)[:600]
-    talk = Talk(LINE, timeout=1)
+    talk = Driver(LINE, timeout=1)
     first = talk.ask(1)
     talk.come(*pieces)
     talk.wait(1)
@@ -231,10 +231,10 @@ def test_the_first_600_bytes_of_a_flood_are_kept() -> None:
 
 
 def test_a_late_answer_in_pieces_is_one_and_each_piece_puts_off_the_next_request() -> None:
-    talk = Talk(LINE, timeout=1)
+    talk = Driver(LINE, timeout=1)
     exchange(talk, 1, after=0.01)
     talk.forget()
-    unanswered(talk, 0)
+    time_out(talk, 0)
     batch = talk.ask(6)
     for piece in (value(5)[:3], value(5)[3:]):
         talk.wait(0.015)
@@ -250,13 +250,13 @@ def test_a_late_answer_in_pieces_is_one_and_each_piece_puts_off_the_next_request
 
 
 def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> None:
-    talk = Talk(LINE)
-    with little_kept():
+    talk = Driver(LINE)
+    with small_memory():
         talk.come(bytes(0x10000))
     assert not talk.connection.is_flooded
     talk.come(b"\0")
     assert talk.connection.is_flooded
-    with little_kept():
+    with small_memory():
         for _ in range(100):
             talk.come(bytes(0x1000))
     assert talk.connection.broken is None  # a port is not opened anew for that
@@ -271,8 +271,8 @@ def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> 
 )
 def test_what_comes_unasked_is_traced_too(late: bytes) -> None:
     told: list[Traced] = []
-    talk = Talk(LINE, timeout=1, trace=told.append)
-    unanswered(talk, 0)
+    talk = Driver(LINE, timeout=1, trace=told.append)
+    time_out(talk, 0)
     talk.come(late)
     talk.wait(1)
     talk.ask(1)  # what is no frame is traced before the next request

@@ -12,8 +12,8 @@ from libmodbus_py import (
 )
 from libmodbus_py.client.call import Batch
 from tests.support.cases import each_case
-from tests.support.replies import answer, exchange, unanswered
-from tests.support.talk import LINE, TCP, Talk, kinds, rtu, value
+from tests.support.driver import LINE, TCP, Driver, kinds, rtu, value
+from tests.support.replies import answer, exchange, time_out
 
 WRITE = pdu.WriteRegister(1, 2)
 
@@ -22,12 +22,12 @@ WRITE = pdu.WriteRegister(1, 2)
 SILENCE = 0.02
 
 
-def usual(talk: Talk, number: int, unit: int = 1) -> None:
+def usual(talk: Driver, number: int, unit: int = 1) -> None:
     """A request whose answer takes 10 ms: HOLD lasts 20 ms then."""
     exchange(talk, number, unit=unit, after=0.01)
 
 
-def hold(talk: Talk, batch: Batch, number: int, seconds: float = 0.02) -> None:
+def hold(talk: Driver, batch: Batch, number: int, seconds: float = 0.02) -> None:
     """Answer a request after 10 ms, and check that its result is held for so long."""
     talk.wait(0.01)
     talk.come(value(number))
@@ -37,9 +37,9 @@ def hold(talk: Talk, batch: Batch, number: int, seconds: float = 0.02) -> None:
     assert batch.outcomes == [[number]]
 
 
-def used() -> Talk:
+def used() -> Driver:
     """Return a line with units 1 and 2, which have answered well."""
-    talk = Talk(LINE, timeout=1)
+    talk = Driver(LINE, timeout=1)
     for unit in (1, 2):
         usual(talk, 10 + unit, unit)
     talk.wait(0.1)
@@ -47,10 +47,10 @@ def used() -> Talk:
     return talk
 
 
-def in_doubt() -> Talk:
+def in_doubt() -> Driver:
     """Return a line whose unit 1 has not answered a read of register 5, two seconds ago."""
     talk = used()
-    unanswered(talk, 5)
+    time_out(talk, 5)
     talk.wait(1)
     return talk
 
@@ -58,7 +58,7 @@ def in_doubt() -> Talk:
 def test_idle_and_a_request_asked_at_once_or_after_two_slowest_answers_of_silence() -> None:
     talk = used()
     begun_at = talk.now
-    unanswered(talk, 5)
+    time_out(talk, 5)
     assert talk.times == [begun_at]
     silent_from = talk.now
     talk.ask(6)
@@ -67,8 +67,8 @@ def test_idle_and_a_request_asked_at_once_or_after_two_slowest_answers_of_silenc
 
 
 def test_a_unit_that_has_never_answered_is_silent_for_one_timeout() -> None:
-    talk = Talk(LINE, timeout=1)
-    unanswered(talk, 5)
+    talk = Driver(LINE, timeout=1)
+    time_out(talk, 5)
     talk.ask(6)
     talk.wait_for(2)
     assert talk.times == pytest.approx([0, 2])
@@ -100,7 +100,7 @@ def test_asked_in_doubt_and_its_answer_is_held() -> None:
     hold(talk, talk.ask(6), 6)
 
 
-def repeating() -> Talk:
+def repeating() -> Driver:
     """Return a line whose unit 1 has answered one request twice, and then others."""
     talk = used()
     usual(talk, 1)
@@ -267,7 +267,7 @@ def test_hold_of_twice_the_slowest_answer_of_this_length_ends_the_doubt() -> Non
 @pytest.mark.parametrize("is_own", [True, False])
 def test_hold_and_the_end_of_its_time(is_own: bool) -> None:
     """The answer took 0.6 s, and HOLD would last for 1.2 s."""
-    talk = Talk(LINE, timeout=1, retries=int(is_own))
+    talk = Driver(LINE, timeout=1, retries=int(is_own))
     batch = talk.ask(5)
     talk.wait(2)
     if not is_own:
@@ -300,7 +300,7 @@ def test_hold_without_doubt_and_the_end_of_its_time() -> None:
 
 def test_doubt_and_a_frame_of_it_count_the_silence_anew() -> None:
     talk = used()
-    unanswered(talk, 5)
+    time_out(talk, 5)
     talk.ask(6)
     for _ in range(2):
         talk.wait(0.015)
@@ -314,7 +314,7 @@ def test_doubt_and_a_frame_of_it_count_the_silence_anew() -> None:
 @each_case("data", ["01 03", "01 83", "01", "FF 01 03 02", "09 03 02 00 01"])
 def test_doubt_and_the_beginning_of_an_answer_count_the_silence_anew(data: str) -> None:
     talk = used()
-    unanswered(talk, 5)
+    time_out(talk, 5)
     talk.ask(6)
     talk.wait(0.015)
     talk.come(bytes.fromhex(data))
@@ -326,7 +326,7 @@ def test_doubt_and_the_beginning_of_an_answer_count_the_silence_anew(data: str) 
 @each_case("data", ["55", "FF FF FF", "02 03 02 00", "09 03 00 00 00 02", "01 04 02", "03"])
 def test_doubt_and_bytes_of_others_do_not_count_the_silence_anew(data: str) -> None:
     talk = used()
-    unanswered(talk, 5)
+    time_out(talk, 5)
     silent_from = talk.now
     talk.ask(6)
     for _ in range(2):
@@ -463,7 +463,7 @@ def test_a_timeout_that_is_changed_ends_each_wait(timeout: float) -> None:
 @each_case("url", [LINE, TCP])
 def test_a_clock_that_stands_still_makes_no_wait_endless(url: str) -> None:
     """Requests, answers and frames that nobody awaits, all at one moment."""
-    talk = Talk(url, timeout=1)
+    talk = Driver(url, timeout=1)
     for number in range(50):
         exchange(talk, number)
         talk.wait(0)
@@ -477,7 +477,7 @@ def test_a_clock_that_stands_still_makes_no_wait_endless(url: str) -> None:
 
 @each_case(("come", "late"), [(b"", 0), (value(1), 1), (value(1) + value(1), 2)])
 def test_answers_beside_the_first_are_counted(come: bytes, late: int) -> None:
-    talk = Talk(LINE, timeout=1)
+    talk = Driver(LINE, timeout=1)
     batch = talk.ask(1)
     talk.come(value(1) + come)
     assert batch.outcomes == [[1]]

@@ -8,9 +8,9 @@ import pytest
 from libmodbus_py import IllegalDataAddress, InvalidResponse, ModbusError, ModbusTimeoutError, pdu
 from tests.support.cases import each_case
 from tests.support.clients import World, read
+from tests.support.driver import ASCII, LINE, Driver, ascii_frame, kinds, rtu, value
 from tests.support.peers import OnRequest, Write, answer
 from tests.support.replies import exchange
-from tests.support.talk import ASCII, LINE, Talk, ascii_frame, kinds, rtu, value
 
 # A request that is a possible answer: 3 bytes of coils.
 COILS = pdu.ReadCoils(0x0311, 24)
@@ -37,14 +37,14 @@ def rtu_of(request: pdu.Request[Any]) -> bytes:
     return rtu((b"\x01" + request.encode()).hex())
 
 
-def confirmed_by_itself(talk: Talk) -> None:
+def confirmed_by_itself(talk: Driver) -> None:
     """Check that a write is confirmed by the frame of its request."""
     batch = talk.ask(WRITE)
     talk.come(talk.sent[-1])
     assert batch.outcomes == [None]
 
 
-def taken_for_a_value(talk: Talk) -> None:
+def taken_for_a_value(talk: Driver) -> None:
     """Check that an answer which is equal to its request is its result."""
     batch = talk.ask(COILS)
     talk.come(talk.sent[-1])
@@ -80,7 +80,7 @@ def test_no_echo_is_the_value_of_a_read(world: World, setting: str) -> None:
 
 def test_the_first_answer_that_is_equal_to_its_request_is_none() -> None:
     for request in (COILS, BOTH):
-        talk = Talk(LINE, timeout=1)
+        talk = Driver(LINE, timeout=1)
         batch = talk.ask(request)
         talk.come(rtu_of(request))
         assert not batch.is_done
@@ -90,7 +90,7 @@ def test_the_first_answer_that_is_equal_to_its_request_is_none() -> None:
 
 
 def test_a_value_that_is_equal_to_its_request_is_taken_where_no_echo_is() -> None:
-    talk = Talk(LINE, timeout=1)
+    talk = Driver(LINE, timeout=1)
     exchange(talk, 1)
     taken_for_a_value(talk)
 
@@ -108,7 +108,7 @@ TELLING = [
 @each_case(("request_", "body", "result"), TELLING)
 @each_case("url", [LINE, ASCII])
 def test_frames_that_can_be_no_answer_tell_of_an_echo(request_, body, result, url) -> None:
-    talk = Talk(url, timeout=1)
+    talk = Driver(url, timeout=1)
     batch = talk.ask(request_)
     talk.come(talk.sent[-1])
     talk.wait(0.1)
@@ -123,7 +123,7 @@ def test_frames_that_can_be_no_answer_tell_of_an_echo(request_, body, result, ur
 def test_a_write_of_several_cells_that_comes_back_shows_no_echo(request_, body, result, url):
     """Some devices answer functions 15 and 16 with the whole request."""
     make = rtu if url == LINE else ascii_frame
-    talk = Talk(url, timeout=1)
+    talk = Driver(url, timeout=1)
     batch = talk.ask(request_)
     talk.come(talk.sent[-1])
     talk.wait(0.1)
@@ -142,7 +142,7 @@ def test_a_write_of_several_cells_that_comes_back_shows_no_echo(request_, body, 
 
 @each_case("request_", [WRITE, pdu.WriteCoil(1, True), pdu.Diagnostics(0, b"\1\2")])
 def test_a_frame_that_may_be_its_own_answer_tells_nothing(request_: Any) -> None:
-    talk = Talk(LINE, timeout=1)
+    talk = Driver(LINE, timeout=1)
     for _ in range(2):
         batch = talk.ask(request_)
         talk.come(talk.sent[-1])
@@ -156,7 +156,7 @@ def test_a_frame_that_may_be_its_own_answer_tells_nothing(request_: Any) -> None
 def test_an_echo_is_found_out_behind_requests_of_which_nothing_came(url: str) -> None:
     """The converter had no power, or the line was open."""
     make = ascii_frame if url == ASCII else rtu
-    talk = Talk(url, timeout=1)
+    talk = Driver(url, timeout=1)
     for number in (1, 2):
         talk.ask(number)
         talk.wait(2)
@@ -169,7 +169,7 @@ def test_an_echo_is_found_out_behind_requests_of_which_nothing_came(url: str) ->
 
 def test_a_read_that_comes_back_is_no_answer_where_no_echo_is() -> None:
     """Once; and it shows no time in which the unit answers."""
-    talk = Talk(LINE, timeout=1)
+    talk = Driver(LINE, timeout=1)
     exchange(talk, 1, after=0.1)
     batch = talk.ask(2)
     talk.come(talk.sent[-1])
@@ -180,9 +180,9 @@ def test_a_read_that_comes_back_is_no_answer_where_no_echo_is() -> None:
     assert batch.outcomes == [[2]]
 
 
-def echoing(url: str = LINE) -> Talk:
+def echoing(url: str = LINE) -> Driver:
     """Return a talk that knows of an echo, from a read."""
-    talk = Talk(url, timeout=1)
+    talk = Driver(url, timeout=1)
     talk.ask(5)
     talk.come(talk.sent[-1] + value(5))
     assert talk.statistics.echoes == 1
@@ -216,8 +216,8 @@ def test_half_an_echo_is_not_taken_over_to_a_new_connection() -> None:
     assert batch.outcomes == [[7]]
 
 
-def known(is_set: bool) -> Talk:
-    return Talk(f"{LINE}&echo=1", timeout=1) if is_set else echoing()
+def known(is_set: bool) -> Driver:
+    return Driver(f"{LINE}&echo=1", timeout=1) if is_set else echoing()
 
 
 @each_case("stray", STRAYS)
@@ -282,7 +282,7 @@ def test_an_answer_behind_the_echo_of_a_request_that_is_a_possible_answer(is_set
 
 
 def test_an_echo_behind_much_noise_does_not_confirm_a_write() -> None:
-    talk = Talk(f"{LINE}&echo=1", timeout=1)
+    talk = Driver(f"{LINE}&echo=1", timeout=1)
     for noise in (b"\xff" * 9, b"\xff" * 300):
         batch = talk.ask(WRITE)
         talk.come(noise + talk.sent[-1])
@@ -309,7 +309,7 @@ def test_with_a_setting_nothing_is_found_out(world: World, scheme: str) -> None:
 
 
 def test_without_an_echo_that_is_set_a_write_that_comes_back_is_confirmed() -> None:
-    talk = Talk(f"{LINE}&echo=0", timeout=1)
+    talk = Driver(f"{LINE}&echo=0", timeout=1)
     for number in (1, 2):
         batch = talk.ask(number)
         talk.come(talk.sent[-1], value(number))

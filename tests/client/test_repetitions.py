@@ -14,13 +14,13 @@ from libmodbus_py import (
     pdu,
 )
 from tests.support.cases import each_case
+from tests.support.driver import LINE, TCP, Driver, kinds, tcp, value
 from tests.support.peers import UNKNOWN_FUNCTION
 from tests.support.replies import BOTH, addresses, answer, exchange, refusal, reply
-from tests.support.talk import LINE, TCP, Talk, kinds, tcp, value
 
 
 def test_all_that_are_due_leave_together() -> None:
-    talk = Talk(busy_retries=1)
+    talk = Driver(busy_retries=1)
     batches = [talk.ask(number) for number in range(3)]
     talk.come(*[tcp(each, "83 06") for each in talk.sent])
     talk.now = 0.1
@@ -32,7 +32,7 @@ def test_all_that_are_due_leave_together() -> None:
 
 
 def test_they_are_spaced_as_all_requests_are() -> None:
-    talk = Talk(busy_retries=1, request_spacing=0.25)
+    talk = Driver(busy_retries=1, request_spacing=0.25)
     for number in range(3):
         talk.ask(number)
     talk.wait(0.5)
@@ -41,16 +41,16 @@ def test_they_are_spaced_as_all_requests_are() -> None:
     assert [round(at, 3) for at in talk.times] == [0, 0.25, 0.5, 0.75, 1.0, 1.25]
 
 
-def values(talk: Talk) -> list[int]:
+def values(talk: Driver) -> list[int]:
     """Return what the writes that were sent write."""
     at = 7 if talk.has_ids else 1
     return [int.from_bytes(adu[at + 3 : at + 5], "big") for adu in talk.sent if adu[at] == 6]
 
 
-TROUBLES: dict[str, Callable[[Talk], object]] = {
+TROUBLES: dict[str, Callable[[Driver], object]] = {
     "busy": lambda talk: talk.come(reply(talk, "86 06", 0)),
     "silence": lambda talk: talk.wait(1),
-    "loss": Talk.reconnect,
+    "loss": Driver.reconnect,
 }
 
 
@@ -58,7 +58,7 @@ TROUBLES: dict[str, Callable[[Talk], object]] = {
 @each_case("trouble", TROUBLES)
 def test_an_older_write_is_never_sent_after_a_newer_one(url: str, trouble: str) -> None:
     """Two tasks with one client: the newer write waits until the older one is over."""
-    talk = Talk(url, timeout=1, retries=1, busy_retries=1, max_pause=0)
+    talk = Driver(url, timeout=1, retries=1, busy_retries=1, max_pause=0)
     older = talk.ask(pdu.WriteRegister(1, 1))
     newer = talk.ask(pdu.WriteRegister(1, 2))
     assert values(talk) == [1]
@@ -73,14 +73,14 @@ def test_an_older_write_is_never_sent_after_a_newer_one(url: str, trouble: str) 
     assert values(talk) == [1, 1, 2]
 
 
-def busy(talk: Talk) -> None:
+def busy(talk: Driver) -> None:
     talk.come(reply(talk, "83 06"))
 
 
 @each_case("url", [TCP, "rtu+tcp://192.0.2.1"])
-@each_case("trouble", {"busy": busy, "silence": TROUBLES["silence"], "loss": Talk.reconnect})
+@each_case("trouble", {"busy": busy, "silence": TROUBLES["silence"], "loss": Driver.reconnect})
 def test_a_write_waits_for_the_repetitions_of_the_read_before_it(url: str, trouble: str) -> None:
-    talk = Talk(url, timeout=1, retries=1, busy_retries=1, max_pause=0)
+    talk = Driver(url, timeout=1, retries=1, busy_retries=1, max_pause=0)
     read, write, after = talk.ask(1), talk.ask(pdu.WriteRegister(1, 9)), talk.ask(2)
     {**TROUBLES, "busy": busy}[trouble](talk)
     talk.wait_for(2)
@@ -98,7 +98,7 @@ def test_a_write_waits_for_the_repetitions_of_the_read_before_it(url: str, troub
 
 def test_no_write_is_sent_before_the_answer_to_the_read_before_it_is_decoded() -> None:
     """As drivers do, what may be sent is asked for between receiving and decoding."""
-    talk = Talk(busy_retries=1)
+    talk = Driver(busy_retries=1)
     batch = talk.ask(1, pdu.WriteRegister(1, 9))
     talk.connection.take([tcp(talk.sent[-1], "83 02")], talk.now)
     assert not talk.connection.start(talk.now, talk.receive)
@@ -110,7 +110,7 @@ def test_no_write_is_sent_before_the_answer_to_the_read_before_it_is_decoded() -
 
 def test_what_waits_behind_a_repetition_fails_with_it_when_no_connection_is_made() -> None:
     for url in (LINE, TCP):
-        talk = Talk(url, timeout=1, retries=3)
+        talk = Driver(url, timeout=1, retries=3)
         batch = talk.ask(1, 2, 3, go_on=True)
         talk.wait(1.5)
         talk.lose()
@@ -121,7 +121,7 @@ def test_what_waits_behind_a_repetition_fails_with_it_when_no_connection_is_made
 
 @BOTH
 def test_a_request_without_an_answer_is_asked_again(url: str) -> None:
-    talk = Talk(url, timeout=1, retries=2)
+    talk = Driver(url, timeout=1, retries=2)
     batch = talk.ask(5)
     talk.wait_for(3)  # on a line only after it has fallen silent
     assert talk.times == pytest.approx([0, 1, 2] if url == TCP else [0, 2, 4])
@@ -137,7 +137,7 @@ def test_a_request_without_an_answer_is_asked_again(url: str) -> None:
 @BOTH
 @pytest.mark.parametrize("trouble", ["silence", "loss", "invalid"])
 def test_repetitions_come_to_an_end(url: str, trouble: str) -> None:
-    talk = Talk(url, timeout=1, retries=1, timeouts_before_reconnect=9)
+    talk = Driver(url, timeout=1, retries=1, timeouts_before_reconnect=9)
     batch = talk.ask(5)
     for count in (1, 2):
         talk.wait_for(count)
@@ -156,7 +156,7 @@ def test_repetitions_come_to_an_end(url: str, trouble: str) -> None:
 
 
 def test_a_damaged_answer_is_asked_for_again() -> None:
-    talk = Talk(LINE, timeout=1, retries=1)
+    talk = Driver(LINE, timeout=1, retries=1)
     batch = talk.ask(5)
     talk.come(value(5)[:-1] + b"\0")
     talk.wait_for(2)
@@ -176,7 +176,7 @@ def test_a_damaged_answer_is_asked_for_again() -> None:
     ],
 )
 def test_what_must_not_be_carried_out_twice_is_sent_once(request_: pdu.Request[Any]) -> None:
-    talk = Talk(timeout=1, retries=5)
+    talk = Driver(timeout=1, retries=5)
     batch = talk.ask(request_)
     talk.wait(3)
     assert kinds(batch) == [ModbusTimeoutError]
@@ -186,7 +186,7 @@ def test_what_must_not_be_carried_out_twice_is_sent_once(request_: pdu.Request[A
 @BOTH
 def test_a_busy_device_is_asked_again_after_growing_pauses(url: str) -> None:
     """0.1, 0.2, 0.4, 0.8, 1, 1 s; what may not be sent twice was not carried out."""
-    talk = Talk(url, busy_retries=6)
+    talk = Driver(url, busy_retries=6)
     batch = talk.ask(pdu.Diagnostics(0, b"\0\1"))
     for code in (6, 5, 6, 5, 6, 5, 6):
         talk.come(reply(talk, f"88 {code:02X}"))
@@ -202,7 +202,7 @@ def test_a_busy_device_is_asked_again_after_growing_pauses(url: str) -> None:
 
 @BOTH
 def test_nothing_overtakes_a_repetition_with_one_in_flight(url: str) -> None:
-    talk = Talk(url, timeout=1, retries=1, busy_retries=1)
+    talk = Driver(url, timeout=1, retries=1, busy_retries=1)
     batch = talk.ask(10, 11, 12)
     talk.come(refusal(talk, 6))
     assert addresses(talk) == [10]
@@ -219,7 +219,7 @@ def test_nothing_overtakes_a_repetition_with_one_in_flight(url: str) -> None:
 
 
 def test_a_repetition_keeps_its_place_among_those_in_flight() -> None:
-    talk = Talk(busy_retries=1, max_in_flight=2)
+    talk = Driver(busy_retries=1, max_in_flight=2)
     batch = talk.ask(*range(4), one_by_one=False)
     talk.come(refusal(talk, 6, 0))
     assert addresses(talk) == [0, 1]
@@ -233,7 +233,7 @@ def test_a_repetition_keeps_its_place_among_those_in_flight() -> None:
 
 
 def test_nothing_more_of_a_batch_is_sent_once_a_refusal_was_received() -> None:
-    talk = Talk(max_in_flight=2)
+    talk = Driver(max_in_flight=2)
     batch = talk.ask(*range(9), one_by_one=False)
     talk.come(refusal(talk, 2, 0))
     assert addresses(talk) == [0, 1]
@@ -242,7 +242,7 @@ def test_nothing_more_of_a_batch_is_sent_once_a_refusal_was_received() -> None:
 
 
 def test_what_comes_behind_a_failure_is_not_repeated() -> None:
-    talk = Talk(retries=5, busy_retries=5)
+    talk = Driver(retries=5, busy_retries=5)
     batch = talk.ask(0, 1, 2, one_by_one=False)
     talk.come(refusal(talk, 6, 2), refusal(talk, 2, 1))
     talk.wait(0.5)
@@ -254,7 +254,7 @@ def test_what_comes_behind_a_failure_is_not_repeated() -> None:
 
 @BOTH
 def test_others_are_asked_during_a_pause(url: str) -> None:
-    talk = Talk(url, busy_retries=1)
+    talk = Driver(url, busy_retries=1)
     busy = talk.ask(1)
     talk.come(refusal(talk, 6))
     exchange(talk, 2, unit=2)
@@ -264,7 +264,7 @@ def test_others_are_asked_during_a_pause(url: str) -> None:
 
 
 def test_a_repetition_over_a_new_connection_waits_for_it_no_longer_than_a_timeout() -> None:
-    talk = Talk(timeout=1, retries=1)
+    talk = Driver(timeout=1, retries=1)
     batch = talk.ask(1)
     talk.lose()
     assert talk.connection.is_wanted
@@ -276,7 +276,7 @@ def test_a_repetition_over_a_new_connection_waits_for_it_no_longer_than_a_timeou
 
 @BOTH
 def test_a_cancelled_repetition_is_forgotten(url: str) -> None:
-    talk = Talk(url, busy_retries=1)
+    talk = Driver(url, busy_retries=1)
     batch = talk.ask(1)
     talk.come(refusal(talk, 6))
     assert talk.connection.is_wanted

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from libmodbus_py import ModbusError, pdu
 from libmodbus_py.client.call import NOT_ASKED, Batch
+from tests.support.driver import LINE, TCP, Driver, tcp, value
 from tests.support.replies import answer, refusal
-from tests.support.talk import LINE, TCP, Talk, tcp, value
 
 ASKING = ["ask", "ask", "many", "cancel", "broadcast"]
 
@@ -30,7 +30,7 @@ def test_no_schedule_gives_a_wrong_value_leaves_anybody_waiting_or_leaks_a_slot(
     url: str, events: list[tuple[str, int]], retries: int, spacing: float
 ) -> None:
     """On a line no answer comes later than two timeouts after its request: who may wait so long?"""
-    talk = Talk(url, timeout=1, retries=retries, busy_retries=1, request_spacing=spacing)
+    talk = Driver(url, timeout=1, retries=retries, busy_retries=1, request_spacing=spacing)
     asked: list[tuple[Batch, list[int]]] = []
     number = 0
     for event, choice in events:
@@ -73,7 +73,7 @@ def test_no_schedule_gives_a_wrong_value_leaves_anybody_waiting_or_leaks_a_slot(
     assert last.outcomes == [[77]]
 
 
-def happen(talk: Talk, event: str, choice: int) -> None:
+def happen(talk: Driver, event: str, choice: int) -> None:
     """Something comes in, whole or in pieces."""
     is_line = not talk.has_ids
     # On a line only the last request can be answered at the right time.
@@ -101,7 +101,7 @@ def happen(talk: Talk, event: str, choice: int) -> None:
     talk.come(*pieces)
 
 
-def settle_down(talk: Talk) -> None:
+def settle_down(talk: Driver) -> None:
     """Nobody answers any more: every deadline passes, over as many connections as it takes."""
     for _ in range(2000):
         if talk.is_at_rest:

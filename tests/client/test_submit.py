@@ -22,10 +22,10 @@ from libmodbus_py.ports.trace import Traced
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.scripted import Scripted
 from tests.support.clients import World
+from tests.support.driver import Driver
 from tests.support.in_loops import run_client, run_peer
 from tests.support.peers import Write, answering, echo, ignore, mbap
-from tests.support.reads import good, good_at
-from tests.support.talk import Talk
+from tests.support.reads import on_read, on_read_at
 
 READ = pdu.ReadHoldingRegisters(7, 1)
 
@@ -139,7 +139,7 @@ def test_nothing_connects_or_is_sent_until_it_may() -> None:
         await plc.close()
         assert len(peer.requests) == 2
 
-    run_peer(good, main)
+    run_peer(on_read, main)
 
 
 @pytest.mark.parametrize(
@@ -157,16 +157,16 @@ def test_those_that_wait_are_not_sent_once_it_is_over(options: Any, sent: int) -
         assert len(peer.requests) == sent
         assert sum(map(refused, outcomes)) == 3 - sent
 
-    run_client(good_at("tcp", after=0.1), use, may_send=gate, **options)
+    run_client(on_read_at("tcp", after=0.1), use, may_send=gate, **options)
 
 
 def test_false_is_no_mistake_and_all_but_true_and_false_is(caplog) -> None:
     for allowed in (False, True):
-        talk = Talk(may_send=lambda allowed=allowed: allowed)
+        talk = Driver(may_send=lambda allowed=allowed: allowed)
         assert talk.ask(1).is_done is not allowed
         assert caplog.records == []
     for mistake in (lambda: 1, lambda: 0, lambda: None, lambda: "yes", lambda: 1 / 0 > 0):
-        (outcome,) = Talk(may_send=mistake).ask(1).outcomes
+        (outcome,) = Driver(may_send=mistake).ask(1).outcomes
         assert refused(outcome)
         assert "may_send" in str(outcome)
         assert caplog.records
@@ -211,7 +211,7 @@ def test_what_could_not_be_sent_is_not_traced(world: World, monkeypatch) -> None
         raise ModbusConnectionError("reset", errno=errno.ECONNRESET)
 
     traced: list[Traced] = []
-    with world.client_of("tcp", good, trace=traced.append) as plc:
+    with world.client_of("tcp", on_read, trace=traced.append) as plc:
         with monkeypatch.context() as patch:
             patch.setattr(StreamPort, "send", fail)
             with pytest.raises(ModbusConnectionError):

@@ -14,8 +14,8 @@ import pytest
 from libmodbus_py import Client, ModbusError
 from tests.docs.documents import ROOT
 from tests.docs.python_blocks import matches
-from tests.support.peers import FakeServer, FakeUnit, dead, mbap, refusing, url_of
-from tests.support.talk import ascii_frame, rtu
+from tests.support.driver import ascii_frame, rtu
+from tests.support.peers import FakeServer, FakeUnit, mbap, mute_port, refusing, url_of
 
 PAGE = (ROOT / "docs" / "troubleshooting.md").read_text()
 NAMED = re.findall(r"^\| `(.*?)` \|", PAGE, re.MULTILINE)
@@ -173,7 +173,7 @@ def test_hosts_that_cannot_be_reached(monkeypatch: pytest.MonkeyPatch) -> None:
     with ExitStack() as stack:
         assert ends_so("Connection refused", said(url_of(stack.enter_context(refusing()))))
         assert ends_so(
-            "Connection timed out", said(f"tcp://127.0.0.1:{stack.enter_context(dead())}")
+            "Connection timed out", said(f"tcp://127.0.0.1:{stack.enter_context(mute_port())}")
         )
 
     def unknown(*_: object, **__: object) -> None:

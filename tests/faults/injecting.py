@@ -29,7 +29,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import ModbusConnectionError
-from tests.support.leaks import LOOPS, Snapshot, settled
+from tests.support.leaks import LOOPS, Snapshot, remaining_leaks
 
 Error = Callable[[], Exception]
 
@@ -256,7 +256,7 @@ def eventually(is_so: Callable[[], object]) -> bool:
     return True
 
 
-def tried(
+def try_faults(
     scenario: Scenario, *part: str, errors: int | None = None, without: str | None = None
 ) -> None:
     """
@@ -294,7 +294,7 @@ def _one(
             trial.problems.append(f"afterwards: {error!r} {_line_of(error)}")
         if counter.error is not None:
             counter.error.__traceback__ = None  # which holds what the package has given up
-        problems = [*trial.problems, *settled(before, LOOPS.names()), *complaints_.texts]
+        problems = [*trial.problems, *remaining_leaks(before, LOOPS.names()), *complaints_.texts]
     where = f"{kind.name} {count}, {counter.error!r} at {counter.place}"
     texts += [f"{where}: {problem}" for problem in problems]
     return counter.error is not None

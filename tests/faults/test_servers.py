@@ -14,7 +14,7 @@ import pytest
 from libmodbus_py import Client, Device, Mapping, ModbusError, Server
 from libmodbus_py.protocol import framing
 from libmodbus_py.tools.testing.wires import open_line
-from tests.faults.injecting import Scenario, Trial, eventually, tried
+from tests.faults.injecting import Scenario, Trial, eventually, try_faults
 from tests.support.certificates import Pki
 
 PART = ("server", "ports", "device", "security")
@@ -117,11 +117,11 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_tcp_server() -> None:
-    tried(serving("tcp://127.0.0.1:0", over(socket.SOCK_STREAM), TCP_ANSWER), *PART)
+    try_faults(serving("tcp://127.0.0.1:0", over(socket.SOCK_STREAM), TCP_ANSWER), *PART)
 
 
 def test_a_udp_server() -> None:
-    tried(serving("udp://127.0.0.1:0", over(socket.SOCK_DGRAM), TCP_ANSWER), *PART)
+    try_faults(serving("udp://127.0.0.1:0", over(socket.SOCK_DGRAM), TCP_ANSWER), *PART)
 
 
 @pytest.fixture
@@ -135,7 +135,7 @@ def line() -> Iterator[tuple[int, str]]:
 
 def test_a_serial_server(line: tuple[int, str]) -> None:
     far, path = line
-    tried(serving(f"rtu://{path}?baudrate=115200", on_far_end(far), LINE_ANSWER), *PART)
+    try_faults(serving(f"rtu://{path}?baudrate=115200", on_far_end(far), LINE_ANSWER), *PART)
 
 
 def test_a_tls_server(tmp_path: Path) -> None:
@@ -145,4 +145,4 @@ def test_a_tls_server(tmp_path: Path) -> None:
         return Server(server().devices, security=pki.server())
 
     ask = secured(pki)
-    tried(serving("tls://127.0.0.1:0", ask, TCP_ANSWER, make), "server", errors=1)
+    try_faults(serving("tls://127.0.0.1:0", ask, TCP_ANSWER, make), "server", errors=1)

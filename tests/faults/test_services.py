@@ -20,7 +20,7 @@ from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.poller import DeviceState
 from libmodbus_py.tools.listener.listener import listen
 from libmodbus_py.tools.page.page import live_page
-from tests.faults.injecting import Scenario, Trial, eventually, tried
+from tests.faults.injecting import Scenario, Trial, eventually, try_faults
 from tests.faults.test_clients import Place, each_echoed, on_line, tcp, udp
 from tests.faults.test_servers import (
     LINE_ANSWER,
@@ -65,13 +65,13 @@ def passing(device: str) -> Scenario:
 
 def test_a_gateway_from_tcp_to_tcp() -> None:
     with FakeServer(each_echoed) as server:
-        tried(passing(f"{server.url}?timeout=0.02&max_pause=0"), *GATEWAY)
+        try_faults(passing(f"{server.url}?timeout=0.02&max_pause=0"), *GATEWAY)
 
 
 def test_a_gateway_from_tcp_to_a_serial_line() -> None:
     with FakeUnit(on_line) as unit:
         url = f"rtu://{unit.path}?baudrate=115200&timeout=0.02&max_pause=0"
-        tried(passing(url), *GATEWAY)
+        try_faults(passing(url), *GATEWAY)
 
 
 ONE = RegisterMap([Point("value", "holding_registers", 5)])
@@ -114,7 +114,7 @@ def test_a_fleet_on_networks_and_lines(tmp_path: Path) -> None:
             f"{server.url}?timeout={SHORT}&max_pause=0",
             f"rtu://{unit.path}?baudrate=115200&timeout={SHORT}&max_pause=0",
         ]
-        tried(polling(urls, tmp_path / "readings.jsonl"), "services.fleet", "client", "ports")
+        try_faults(polling(urls, tmp_path / "readings.jsonl"), "services.fleet", "client", "ports")
 
 
 def hearing(url: str, between: str | None, say: Callable[[str], None]) -> Scenario:
@@ -141,7 +141,7 @@ def test_a_listener_on_a_line(line: tuple[int, str]) -> None:
     def say(url: str) -> None:
         os.write(far, LINE_REQUEST + LINE_ANSWER)
 
-    tried(hearing(f"rtu://{path}?baudrate=115200", None, say), "tools.listener", "ports")
+    try_faults(hearing(f"rtu://{path}?baudrate=115200", None, say), "tools.listener", "ports")
 
 
 def is_passed_on(url: str) -> bool:
@@ -161,7 +161,7 @@ def test_a_listener_between_clients_and_a_device() -> None:
         between = f"rtu+tcp://127.0.0.1:{device.port}"
         scenario = hearing("rtu+tcp://127.0.0.1:0", between, say)
         # What listens can always be shut down, and that is what ends its thread.
-        tried(scenario, "tools.listener", "ports", without="shut down")
+        try_faults(scenario, "tools.listener", "ports", without="shut down")
 
 
 def got(url: str, path: str, until: bytes) -> bytes:
@@ -204,7 +204,7 @@ def shown() -> Scenario:
 def test_a_page_with_its_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("libmodbus_py.tools.timed_server.SWEEP", 0.005)
     monkeypatch.setattr("libmodbus_py.tools.page.streams.PERIOD", 0.005)
-    tried(shown(), "tools.page")
+    try_faults(shown(), "tools.page")
 
 
 def unit(request: bytes) -> list[bytes]:
@@ -250,9 +250,9 @@ def searched(url: str) -> Scenario:
 @pytest.mark.parametrize("kind", PLACES)
 def test_a_scan(tmp_path: Path, kind: str) -> None:
     with PLACES[kind](tmp_path) as url:
-        tried(scanned(url), *SCAN)
+        try_faults(scanned(url), *SCAN)
 
 
 def test_a_search(tmp_path: Path) -> None:
     with udp(tmp_path) as url:
-        tried(searched(f"{url}?unit=1"), *SCAN, errors=1)
+        try_faults(searched(f"{url}?unit=1"), *SCAN, errors=1)

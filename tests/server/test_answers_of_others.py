@@ -8,10 +8,10 @@ import pytest
 
 from libmodbus_py import Client, Gateway, Route
 from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS
-from tests.simulation.stage import LineEnd, Stage
+from tests.simulation.lan import Lan, LineEnd
+from tests.support.driver import ascii_frame, rtu
 from tests.support.framing import NO_REQUESTS
-from tests.support.served import unit_one
-from tests.support.talk import ascii_frame, rtu
+from tests.support.lan_server import unit_one
 from tests.support.urls import url_for
 
 WRITE = rtu("01 06 0001 0003")
@@ -53,7 +53,7 @@ def pieces(data: bytes, count: int) -> list[bytes]:
 
 
 @contextmanager
-def saying(stage: Stage, url: str) -> Iterator[Callable[..., bytes]]:
+def saying(stage: Lan, url: str) -> Iterator[Callable[..., bytes]]:
     """Yield what writes something, in so many pieces, and returns what is answered."""
     if "/dev/line" in url:
         master = LineEnd(stage.line("/dev/line"))
@@ -93,7 +93,7 @@ def damaged(frame: bytes) -> bytes:
 @pytest.mark.parametrize(
     "scheme", [each for each, (made, rules) in LINES.items() if made is rtu and not rules.is_serial]
 )
-def test_answers_of_others_in_one_connection_count_no_error(stage: Stage, scheme: str) -> None:
+def test_answers_of_others_in_one_connection_count_no_error(stage: Lan, scheme: str) -> None:
     """As a serial device server passes them on that hears its own line."""
     url = place_on(scheme)
     with unit_one(url) as (server, writes), saying(stage, url) as say:
@@ -106,7 +106,7 @@ def test_answers_of_others_in_one_connection_count_no_error(stage: Stage, scheme
 
 
 @pytest.mark.parametrize("pause", [0.0, 0.002, 0.03])
-def test_a_clean_line_with_other_units_counts_no_error(stage: Stage, pause: float) -> None:
+def test_a_clean_line_with_other_units_counts_no_error(stage: Lan, pause: float) -> None:
     with unit_one(LINE) as (server, writes):
         master, other = LineEnd(stage.line("/dev/line")), LineEnd(stage.line("/dev/line"))
         for request, answer in TRAFFIC:
@@ -132,7 +132,7 @@ def test_a_clean_line_with_other_units_counts_no_error(stage: Stage, pause: floa
     ("scheme", "count"), [*((each, 1) for each in LINES), *((each, 3) for each in STREAMS)]
 )
 def test_a_good_frame_that_is_no_request_is_neither_answered_nor_damage(
-    stage: Stage, scheme: str, count: int, is_gateway: bool
+    stage: Lan, scheme: str, count: int, is_gateway: bool
 ) -> None:
     """In one piece or in three; with a right CRC it is of another unit, or of no unit."""
     made, url = LINES[scheme][0], place_on(scheme)
@@ -146,7 +146,7 @@ def test_a_good_frame_that_is_no_request_is_neither_answered_nor_damage(
 
 
 @each_line
-def test_a_gateway_passes_on_no_frame_that_is_no_request(stage: Stage, scheme: str) -> None:
+def test_a_gateway_passes_on_no_frame_that_is_no_request(stage: Lan, scheme: str) -> None:
     made, url = LINES[scheme][0], place_on(scheme)
     with unit_one(url, is_gateway=True) as (gateway, _), saying(stage, url) as say:
         for body, unit in itertools.product([*NO_REQUESTS, "03 0001 0001"], (0, 1, 2)):
@@ -157,7 +157,7 @@ def test_a_gateway_passes_on_no_frame_that_is_no_request(stage: Stage, scheme: s
 
 @each_stream
 @pytest.mark.parametrize("unit", [1, 2])
-def test_damage_with_such_a_function_is_counted(stage: Stage, scheme: str, unit: int) -> None:
+def test_damage_with_such_a_function_is_counted(stage: Lan, scheme: str, unit: int) -> None:
     """A function of 80h or more and a wrong CRC."""
     made, url = LINES[scheme][0], place_on(scheme)
     with unit_one(url) as (server, _), saying(stage, url) as say:
@@ -166,7 +166,7 @@ def test_damage_with_such_a_function_is_counted(stage: Stage, scheme: str, unit:
         assert server.statistics.bad_frames == 1
 
 
-def test_a_gateway_hears_others_too(stage: Stage) -> None:
+def test_a_gateway_hears_others_too(stage: Lan) -> None:
     """It is a unit on a line here."""
     with unit_one(LINE, is_gateway=True) as (gateway, writes):
         master, other = LineEnd(stage.line("/dev/line")), LineEnd(stage.line("/dev/line"))
@@ -183,7 +183,7 @@ def test_a_gateway_hears_others_too(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("head", ["08 0000", "2B 0D", "41"])
-def test_a_frame_in_a_request_is_not_written_through_a_gateway(stage: Stage, head: str) -> None:
+def test_a_frame_in_a_request_is_not_written_through_a_gateway(stage: Lan, head: str) -> None:
     """Nothing but reads and loopbacks may pass; the units behind are on one line."""
     route = Route("rtu:///dev/line?baudrate=115200&timeout=0.1", read_only=True)
     with (
@@ -203,7 +203,7 @@ def test_a_frame_in_a_request_is_not_written_through_a_gateway(stage: Stage, hea
 
 
 @each_line
-def test_a_loopback_that_holds_a_write_comes_back_whole(stage: Stage, scheme: str) -> None:
+def test_a_loopback_that_holds_a_write_comes_back_whole(stage: Lan, scheme: str) -> None:
     made, url = LINES[scheme][0], place_on(scheme)
     write = made("01 06 0001 0003")
     with unit_one(url) as (server, writes), saying(stage, url) as say:
@@ -216,7 +216,7 @@ def test_a_loopback_that_holds_a_write_comes_back_whole(stage: Stage, scheme: st
 
 @each_stream
 @pytest.mark.parametrize("is_gateway", [False, True])
-def test_only_the_last_of_the_requests_that_wait_is_answered(stage: Stage, scheme: str, is_gateway):
+def test_only_the_last_of_the_requests_that_wait_is_answered(stage: Lan, scheme: str, is_gateway):
     """All came before the server could look: whoever sent another one has given up the first."""
     frame, url = LINES[scheme][0], place_on(scheme)
     requests = [frame(f"01 06 0001 {number:04X}") for number in (5, 6, 7)]
@@ -226,7 +226,7 @@ def test_only_the_last_of_the_requests_that_wait_is_answered(stage: Stage, schem
 
 
 @each_stream
-def test_a_request_to_another_unit_takes_back_the_answer_that_waits(stage: Stage, scheme: str):
+def test_a_request_to_another_unit_takes_back_the_answer_that_waits(stage: Lan, scheme: str):
     frame, url = LINES[scheme][0], place_on(scheme)
     mine, other = frame("01 03 0001 0001"), frame("02 03 0000 0001")
     with unit_one(url), saying(stage, url) as say:

@@ -9,12 +9,12 @@ import pytest
 from libmodbus_py import Client, Device, Mapping, Server
 from libmodbus_py.serve import Fault
 from libmodbus_py.tools.testing.wires import SerialWire
+from tests.simulation.lan import Lan, LineEnd
 from tests.simulation.lines import SerialLine
-from tests.simulation.stage import LineEnd, Stage
 from tests.support.contexts import context_at
+from tests.support.driver import ascii_frame, rtu
+from tests.support.lan_server import unit_one
 from tests.support.peers import LinePeer, Write, until
-from tests.support.served import unit_one
-from tests.support.talk import ascii_frame, rtu
 
 FRAMES = {"rtu": rtu, "ascii": ascii_frame}
 WRITES = ["01 05 0001 FF00", "01 06 0001 0003", "01 16 0001 00FF 0000", "01 08 0000 A537"]
@@ -29,7 +29,7 @@ class Echoing:
 
     def __init__(
         self,
-        stage: Stage,
+        stage: Lan,
         line: SerialLine,
         stray: tuple[bytes, bytes] = STRAYS[0],
         late: float = 0.0,
@@ -54,7 +54,7 @@ class Echoing:
 class Converter:
     """A connection whose other end returns all that it receives, after a time."""
 
-    def __init__(self, stage: Stage, way: float) -> None:
+    def __init__(self, stage: Lan, way: float) -> None:
         end, _ = stage.connect("10.0.0.1", 502)
         assert end is not None
         self.heard = b""
@@ -87,7 +87,7 @@ def warnings(caplog: pytest.LogCaptureFixture) -> list[str]:
 @pytest.mark.parametrize("stray", STRAYS)
 @pytest.mark.parametrize("is_set", [False, True])
 def test_writes_are_carried_out_once(
-    stage: Stage, scheme, is_gateway, request_, stray, is_set, caplog
+    stage: Lan, scheme, is_gateway, request_, stray, is_set, caplog
 ) -> None:
     """From the first on if the echo is set; else from the first read on, which shows it."""
     frame = FRAMES[scheme]
@@ -124,7 +124,7 @@ def test_writes_are_carried_out_once(
 @pytest.mark.parametrize("way", [0.0005, 0.02, 0.1])
 @pytest.mark.parametrize("count", [1, 3])
 def test_an_echo_over_tcp_is_found_beside_writes_that_go_round(
-    stage: Stage, scheme: str, telling: str, way: float, count: int
+    stage: Lan, scheme: str, telling: str, way: float, count: int
 ) -> None:
     frame = FRAMES[scheme]
     with unit_one(f"{scheme}+tcp://{TCP}") as (server, writes):
@@ -151,7 +151,7 @@ def test_an_echo_over_tcp_is_found_beside_writes_that_go_round(
 @pytest.mark.parametrize("late", [0.0, 0.016])
 @pytest.mark.parametrize("stray", STRAYS)
 def test_a_line_on_which_nothing_was_read_carries_out_writes_once(
-    stage: Stage, scheme, baudrate, late, stray, is_gateway, caplog
+    stage: Lan, scheme, baudrate, late, stray, is_gateway, caplog
 ) -> None:
     """USB adapters keep bytes for up to 16 ms. Nothing was read, which would show the echo."""
     frame = FRAMES[scheme]
@@ -175,7 +175,7 @@ def test_a_line_on_which_nothing_was_read_carries_out_writes_once(
 @pytest.mark.parametrize("scheme", FRAMES)
 @pytest.mark.parametrize("request_", WRITES)
 def test_the_same_write_again_at_once_is_carried_out_again(
-    stage: Stage, scheme: str, request_: str, is_gateway: bool
+    stage: Lan, scheme: str, request_: str, is_gateway: bool
 ) -> None:
     frame = FRAMES[scheme]
     with unit_one(f"{scheme}://{LINE}", is_gateway=is_gateway) as (server, writes):
@@ -192,7 +192,7 @@ def test_the_same_write_again_at_once_is_carried_out_again(
 
 
 @pytest.mark.parametrize("scheme", FRAMES)
-def test_an_echo_that_comes_very_late_is_found_by_a_read(stage: Stage, scheme: str) -> None:
+def test_an_echo_that_comes_very_late_is_found_by_a_read(stage: Lan, scheme: str) -> None:
     frame = FRAMES[scheme]
     with unit_one(f"{scheme}://{LINE}") as (server, writes):
         Echoing(stage, stage.line("/dev/line"), late=0.2)
@@ -210,7 +210,7 @@ def test_an_echo_that_comes_very_late_is_found_by_a_read(stage: Stage, scheme: s
         assert len(writes) == 1
 
 
-def test_noise_while_the_line_is_asked_is_no_echo(stage: Stage) -> None:
+def test_noise_while_the_line_is_asked_is_no_echo(stage: Lan) -> None:
     with unit_one(f"rtu://{LINE}") as (server, writes):
         master = LineEnd(stage.line("/dev/line"))
         write = rtu(WRITES[1])
@@ -226,7 +226,7 @@ def test_noise_while_the_line_is_asked_is_no_echo(stage: Stage) -> None:
         assert server.statistics.echoes == 0
 
 
-def test_a_server_that_is_closed_while_it_asks_the_line(stage: Stage) -> None:
+def test_a_server_that_is_closed_while_it_asks_the_line(stage: Lan) -> None:
     with unit_one(f"rtu://{LINE}") as (_, writes):
         master = LineEnd(stage.line("/dev/line"))
         for _ in range(2):
@@ -238,7 +238,7 @@ def test_a_server_that_is_closed_while_it_asks_the_line(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("scheme", FRAMES)
-def test_an_echo_over_tcp_that_is_set(stage: Stage, scheme, caplog) -> None:
+def test_an_echo_over_tcp_that_is_set(stage: Lan, scheme, caplog) -> None:
     frame = FRAMES[scheme]
     with unit_one(f"{scheme}+tcp://{TCP}?echo=1") as (server, writes):
         end = Converter(stage, 0.02)
@@ -250,7 +250,7 @@ def test_an_echo_over_tcp_that_is_set(stage: Stage, scheme, caplog) -> None:
     assert not warnings(caplog)
 
 
-def test_nothing_is_looked_for_where_it_is_set_that_there_is_no_echo(stage: Stage) -> None:
+def test_nothing_is_looked_for_where_it_is_set_that_there_is_no_echo(stage: Lan) -> None:
     for url in (f"rtu://{LINE}&echo=0", f"rtu+tcp://{TCP}?echo=0"):
         with unit_one(url) as (server, _):
             Echoing(stage, stage.line("/dev/line"))
@@ -262,7 +262,7 @@ def test_nothing_is_looked_for_where_it_is_set_that_there_is_no_echo(stage: Stag
             assert server.statistics.requests == 3
 
 
-def test_connections_with_an_echo_are_counted_each_and_told_once(stage: Stage, caplog) -> None:
+def test_connections_with_an_echo_are_counted_each_and_told_once(stage: Lan, caplog) -> None:
     with unit_one(f"rtu+tcp://{TCP}") as (server, _):
         for count in (1, 2, 3):
             end = Converter(stage, 0.01)
@@ -274,7 +274,7 @@ def test_connections_with_an_echo_are_counted_each_and_told_once(stage: Stage, c
     assert told.startswith(f"rtu+tcp://{TCP}: what is sent comes back")
 
 
-def test_a_port_that_was_unplugged_is_looked_at_again(stage: Stage) -> None:
+def test_a_port_that_was_unplugged_is_looked_at_again(stage: Lan) -> None:
     with unit_one(f"rtu://{LINE}") as (server, writes):
         line = stage.line("/dev/line")
         master = LineEnd(line)
@@ -295,7 +295,7 @@ def test_a_port_that_was_unplugged_is_looked_at_again(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("scheme", FRAMES)
-def test_an_answer_that_trickles_comes_back_as_it_leaves(stage: Stage, scheme: str) -> None:
+def test_an_answer_that_trickles_comes_back_as_it_leaves(stage: Lan, scheme: str) -> None:
     faults = {1: [Fault("trickle", seconds=0.005)]}
     with unit_one(f"{scheme}://{LINE}&echo=1", faults=faults) as (_, writes):
         Echoing(stage, stage.line("/dev/line"))
@@ -306,7 +306,7 @@ def test_an_answer_that_trickles_comes_back_as_it_leaves(stage: Stage, scheme: s
             assert len(writes) == count
 
 
-def test_a_request_that_begins_like_the_last_answer_is_answered_after_silence(stage: Stage) -> None:
+def test_a_request_that_begins_like_the_last_answer_is_answered_after_silence(stage: Lan) -> None:
     """Status 41h: the answer to function 7 is its request and a zero byte."""
     device = Device(Mapping(holding_registers=4), exception_status=0x41)
     for url in (f"rtu://{LINE}", f"rtu+tcp://{TCP}"):

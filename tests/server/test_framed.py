@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from libmodbus_py import Device, Server, framing
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.attacks import adu, ask, connect
 
 ASKED, ANSWER = bytes.fromhex("03 0000 0001"), bytes.fromhex("03 02 0007")
@@ -39,7 +39,7 @@ def test_an_illegal_request_does_not_cost_its_neighbours_their_answers(port: int
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])
-def test_a_request_cut_anywhere_is_answered(stage: Stage, scheme: str, device: Device) -> None:
+def test_a_request_cut_anywhere_is_answered(stage: Lan, scheme: str, device: Device) -> None:
     framers: dict[str, framing.Framer] = {
         "tcp": framing.TcpFramer(),
         "rtu+tcp": framing.RtuFramer("server"),

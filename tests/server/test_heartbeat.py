@@ -8,10 +8,10 @@ from libmodbus_py import Client
 from libmodbus_py.low_level import ffi, lib
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.testing.wires import SerialWire
-from tests.simulation.stage import LineEnd, Stage, Talker
+from tests.simulation.lan import Lan, LanClient, LineEnd
 from tests.support.cases import each
-from tests.support.served import unit_one
-from tests.support.talk import ascii_frame, rtu
+from tests.support.driver import ascii_frame, rtu
+from tests.support.lan_server import unit_one
 
 FRAMES = {"rtu": rtu, "ascii": ascii_frame}
 COUNT = 20
@@ -41,11 +41,11 @@ PAUSES = [0.0, 0.00175, 0.02, 1.0]
 class Master:
     """Asks on a line or a connection, and returns what is answered."""
 
-    def __init__(self, stage: Stage, url: str) -> None:
+    def __init__(self, stage: Lan, url: str) -> None:
         endpoint = parse(url)
         self._stage = stage
         self._line = LineEnd(stage.line(endpoint.path)) if endpoint.is_serial else None
-        self._talker: Talker | None = None if endpoint.is_serial else stage.talk(url, timeout=3)
+        self._talker: LanClient | None = None if endpoint.is_serial else stage.talk(url, timeout=3)
 
     def ask(self, request: bytes, size: int) -> bytes:
         if self._line is None:
@@ -70,7 +70,7 @@ def beat(master: Master, frame: Any, request: str) -> None:
 @pytest.mark.parametrize("scheme", URLS)
 @pytest.mark.parametrize("is_gateway", [False, True])
 @pytest.mark.parametrize("pause", PAUSES)
-def test_each_of_many_equal_writes_is_carried_out(stage: Stage, scheme, is_gateway, pause) -> None:
+def test_each_of_many_equal_writes_is_carried_out(stage: Lan, scheme, is_gateway, pause) -> None:
     url, frame = URLS[scheme], FRAMES[scheme.partition("+")[0]]
     for check, request in each(HEARTBEATS):
         with check, unit_one(url, is_gateway=is_gateway) as (server, written):
@@ -85,7 +85,7 @@ def test_each_of_many_equal_writes_is_carried_out(stage: Stage, scheme, is_gatew
 
 
 @pytest.mark.parametrize("scheme", URLS)
-def test_a_heartbeat_between_reads(stage: Stage, scheme: str) -> None:
+def test_a_heartbeat_between_reads(stage: Lan, scheme: str) -> None:
     """The answer of the first read shows that there is no echo."""
     url, frame = URLS[scheme], FRAMES[scheme.partition("+")[0]]
     with unit_one(url) as (server, written):

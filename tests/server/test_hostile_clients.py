@@ -11,11 +11,11 @@ from libmodbus_py import Client, Device, Limits, Mapping, Server, framing
 from libmodbus_py.server.peer import READ_BYTES
 from libmodbus_py.server.sessions import ByChunk
 from tests.simulation.attackers import Attackers, Innocent
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.attacks import ATTACKS, UNIT, Attack, adu, ask, connect
 from tests.support.certificates import Pki
-from tests.support.served import ask as server_ask
-from tests.support.served import served
+from tests.support.lan_server import ask as server_ask
+from tests.support.lan_server import server_on
 
 READ, READ_ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
 
@@ -79,7 +79,7 @@ def test_who_is_closed_is_not_reset_although_more_had_come(port: int) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])
-def test_random_bytes_change_nothing(stage: Stage, scheme: str, device: Device) -> None:
+def test_random_bytes_change_nothing(stage: Lan, scheme: str, device: Device) -> None:
     """Whoever is out of step is closed, and comes back with the next bytes."""
     before = contents(device)
     chance = random.Random(1)
@@ -136,7 +136,7 @@ def enough(attack: Attack) -> Attack:
 @pytest.mark.parametrize(
     "attack", [*map(enough, ATTACKS)], ids=lambda attack: attack.name.replace(" ", "-")
 )
-def test_an_innocent_client_waits_for_few_of_the_others(stage: Stage, attack, tmp_path) -> None:
+def test_an_innocent_client_waits_for_few_of_the_others(stage: Lan, attack, tmp_path) -> None:
     """The innocent speaks TCP; an attack on TLS meets another endpoint of the same server."""
     server = Server(
         {UNIT: Device(Mapping(holding_registers=2000))},
@@ -158,7 +158,7 @@ def test_an_innocent_client_waits_for_few_of_the_others(stage: Stage, attack, tm
         assert innocent.poll(5).turns == [0] * 5
 
 
-def test_a_defect_of_ours_costs_its_connection_and_no_other(stage: Stage, monkeypatch, caplog):
+def test_a_defect_of_ours_costs_its_connection_and_no_other(stage: Lan, monkeypatch, caplog):
     receive = ByChunk.receive
 
     def fail_at_noise(session: ByChunk, data: bytes) -> int:
@@ -167,7 +167,7 @@ def test_a_defect_of_ours_costs_its_connection_and_no_other(stage: Stage, monkey
         return receive(session, data)
 
     monkeypatch.setattr(ByChunk, "receive", fail_at_noise)
-    with served(stage) as server:
+    with server_on(stage) as server:
         bad, good = server.connect(), server.connect()
         bad.sendall(b"!")
         server_ask(good)

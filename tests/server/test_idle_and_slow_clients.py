@@ -12,9 +12,9 @@ import pytest
 from libmodbus_py import Device, Fault, Mapping, Server
 from libmodbus_py.server.limits import Limits
 from libmodbus_py.server.peer import READ_BYTES
-from tests.simulation.stage import Stage, Talker
+from tests.simulation.lan import Lan, LanClient
 from tests.support.attacks import READ_MOST, READ_ONE, adu, connect
-from tests.support.served import (
+from tests.support.lan_server import (
     ANSWER_MOST,
     ANSWER_ONE,
     MOST_ANSWER,
@@ -22,7 +22,7 @@ from tests.support.served import (
     OVER_TCP,
     ask,
     rtu,
-    served,
+    server_on,
 )
 
 KIND = pytest.mark.parametrize("kind", OVER_TCP)
@@ -38,8 +38,8 @@ NEVER_ENDED = bytes.fromhex("11 10 0000 007b f6")
 
 @KIND
 @pytest.mark.parametrize("frame_timeout", [0.4, 1000])
-def test_a_trickle_does_not_extend_the_time_of_a_frame(stage: Stage, kind: str, frame_timeout):
-    with served(stage, kind, frame_timeout=frame_timeout) as server:
+def test_a_trickle_does_not_extend_the_time_of_a_frame(stage: Lan, kind: str, frame_timeout):
+    with server_on(stage, kind, frame_timeout=frame_timeout) as server:
         slow, silent = server.connect(), server.connect()
         ask(slow)
         begun = stage.now
@@ -56,8 +56,8 @@ def test_a_trickle_does_not_extend_the_time_of_a_frame(stage: Stage, kind: str, 
 
 
 @KIND
-def test_a_frame_that_begins_where_another_ends_has_its_own_time(stage: Stage, kind: str) -> None:
-    with served(stage, kind, frame_timeout=1) as server:
+def test_a_frame_that_begins_where_another_ends_has_its_own_time(stage: Lan, kind: str) -> None:
+    with server_on(stage, kind, frame_timeout=1) as server:
         slow = server.connect()
         request = adu(READ_ONE)
         slow.sendall(request[:3])
@@ -74,9 +74,9 @@ def test_a_frame_that_begins_where_another_ends_has_its_own_time(stage: Stage, k
         assert server.counts(closed_slow=1, connections=0)
 
 
-def test_the_time_of_a_frame_is_not_that_of_the_answer_before(stage: Stage) -> None:
+def test_the_time_of_a_frame_is_not_that_of_the_answer_before(stage: Lan) -> None:
     """The rest of it has come, but is not read before the answer has gone."""
-    with served(stage, faults=LATE, frame_timeout=0.2) as server:
+    with server_on(stage, faults=LATE, frame_timeout=0.2) as server:
         connection = server.connect()
         connection.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2)[:5])
         connection.sendall(adu(READ_ONE, 2)[5:])
@@ -85,8 +85,8 @@ def test_the_time_of_a_frame_is_not_that_of_the_answer_before(stage: Stage) -> N
         assert server.counts(closed_slow=0)
 
 
-def test_half_a_frame_behind_a_late_answer_has_its_time_from_then_on(stage: Stage) -> None:
-    with served(stage, faults=LATE, frame_timeout=20) as server:
+def test_half_a_frame_behind_a_late_answer_has_its_time_from_then_on(stage: Lan) -> None:
+    with server_on(stage, faults=LATE, frame_timeout=20) as server:
         connection = server.connect()
         connection.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2)[:5])
         assert connection.receive(ONE_ANSWER) == adu(ANSWER_ONE)
@@ -98,14 +98,14 @@ def test_half_a_frame_behind_a_late_answer_has_its_time_from_then_on(stage: Stag
 
 @KIND
 @pytest.mark.parametrize("idle_timeout", [0.5, 3600])
-def test_who_asks_nothing_is_closed(stage: Stage, kind: str, idle_timeout: float) -> None:
+def test_who_asks_nothing_is_closed(stage: Lan, kind: str, idle_timeout: float) -> None:
     look = min(1, idle_timeout / 4)
-    with served(stage, kind, idle_timeout=idle_timeout, frame_timeout=4 * look) as server:
+    with server_on(stage, kind, idle_timeout=idle_timeout, frame_timeout=4 * look) as server:
         stranger, known, busy = (server.connect() for _ in range(3))
         stage.pass_time(idle_timeout / 2)
         ask(known)
         begun = stage.now
-        closed: dict[Talker, float] = {}
+        closed: dict[LanClient, float] = {}
         while len(closed) < 2:
             ask(busy)
             stage.pass_time(idle_timeout / 20)
@@ -121,8 +121,8 @@ def test_who_asks_nothing_is_closed(stage: Stage, kind: str, idle_timeout: float
         assert server.counts(connections=1, closed_idle=2)
 
 
-def test_nobody_is_closed_for_asking_nothing_where_no_limit_says_so(stage: Stage) -> None:
-    with served(stage, idle_timeout=None) as server:
+def test_nobody_is_closed_for_asking_nothing_where_no_limit_says_so(stage: Lan) -> None:
+    with server_on(stage, idle_timeout=None) as server:
         known, stranger = server.connect(), server.connect()
         ask(known)
         stage.pass_time(2 * 3600)
@@ -131,8 +131,8 @@ def test_nobody_is_closed_for_asking_nothing_where_no_limit_says_so(stage: Stage
         assert server.counts(connections=2, closed_idle=0, closed_slow=0)
 
 
-def test_who_is_answered_when_silence_completes_its_frames_is_not_idle(stage: Stage) -> None:
-    with served(stage, "plain", "rtu+tcp", idle_timeout=0.8) as server:
+def test_who_is_answered_when_silence_completes_its_frames_is_not_idle(stage: Lan) -> None:
+    with server_on(stage, "plain", "rtu+tcp", idle_timeout=0.8) as server:
         sly, idle = server.connect(), server.connect()
         answer = rtu(ANSWER_ONE)
         for _ in range(12):
@@ -174,9 +174,9 @@ def answers(count: int) -> bytes:
 @KIND
 @pytest.mark.parametrize("max_unsent", [0, 65_536])
 def test_who_never_reads_is_not_read_and_later_gets_every_answer(
-    stage: Stage, kind: str, max_unsent: int
+    stage: Lan, kind: str, max_unsent: int
 ) -> None:
-    with served(stage, kind, max_unsent=max_unsent, frame_timeout=10) as server:
+    with server_on(stage, kind, max_unsent=max_unsent, frame_timeout=10) as server:
         deaf, other = server.connect(), server.connect()
         deaf.sendall(pipelined(MANY))
         assert server.counts(paused=1)
@@ -194,8 +194,8 @@ def test_who_never_reads_is_not_read_and_later_gets_every_answer(
 
 
 @KIND
-def test_who_says_that_nothing_more_comes_still_gets_every_answer(stage: Stage, kind: str) -> None:
-    with served(stage, kind) as server:
+def test_who_says_that_nothing_more_comes_still_gets_every_answer(stage: Lan, kind: str) -> None:
+    with server_on(stage, kind) as server:
         deaf = server.connect()
         deaf.sendall(pipelined(MANY))
         deaf.shutdown(socket.SHUT_WR)
@@ -206,9 +206,9 @@ def test_who_says_that_nothing_more_comes_still_gets_every_answer(stage: Stage, 
 
 
 @KIND
-def test_the_last_answers_must_be_taken_within_the_time_of_a_frame(stage: Stage, kind: str) -> None:
+def test_the_last_answers_must_be_taken_within_the_time_of_a_frame(stage: Lan, kind: str) -> None:
     """Too few for the limit, but more than the system takes; then nonsense."""
-    with served(stage, kind, max_unsent=2**30, frame_timeout=20) as server:
+    with server_on(stage, kind, max_unsent=2**30, frame_timeout=20) as server:
         deaf = server.connect()
         deaf.sendall(pipelined(MANY) + bytes(8))
         begun = stage.now

@@ -16,7 +16,7 @@ import pytest
 
 from libmodbus_py import Device, Gateway, Limits, Mapping, Route, Server
 from libmodbus_py.serve import Allow, Rules
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support import certificates
 from tests.support.attacks import READ_ONE, adu
 from tests.support.certificates import Pki
@@ -30,7 +30,7 @@ TIMES = 4
 
 
 @contextmanager
-def asking(stage: Stage, server: Server | Gateway, data: bytes = b"") -> Iterator[None]:
+def asking(stage: Lan, server: Server | Gateway, data: bytes = b"") -> Iterator[None]:
     """Serve while so many clients send some bytes, and stay."""
     with server.background("tcp://10.0.0.1:0") as running:
         for _ in range(TIMES):
@@ -42,25 +42,25 @@ def asking(stage: Stage, server: Server | Gateway, data: bytes = b"") -> Iterato
 
 
 def limited(data: bytes = b"", **limits: Any) -> Callable[..., AbstractContextManager[None]]:
-    def cause(stage: Stage, pki: Pki) -> AbstractContextManager[None]:
+    def cause(stage: Lan, pki: Pki) -> AbstractContextManager[None]:
         device = Device(Mapping(holding_registers=10))
         return asking(stage, Server(device, limits=Limits(**limits)), data)
 
     return cause
 
 
-def without_a_right(stage: Stage, pki: Pki) -> AbstractContextManager[None]:
+def without_a_right(stage: Lan, pki: Pki) -> AbstractContextManager[None]:
     device = Device(Mapping(holding_registers=10), authorize=Rules({None: Allow(read="all")}))
     return asking(stage, Server(device), adu(WRITE_ONE))
 
 
-def on_a_read_only_route(stage: Stage, pki: Pki) -> AbstractContextManager[None]:
+def on_a_read_only_route(stage: Lan, pki: Pki) -> AbstractContextManager[None]:
     stage.line("/dev/line")
     return asking(stage, Gateway([Route("rtu:///dev/line", read_only=True)]), adu(WRITE_ONE))
 
 
 @contextmanager
-def greeting(stage: Stage, pki: Pki, **options: Any) -> Iterator[int]:
+def greeting(stage: Lan, pki: Pki, **options: Any) -> Iterator[int]:
     server = Server(Device(Mapping(10)), security=pki.server(**options))
     with server.background("tls://127.0.0.1:0") as running:
         yield int(running.urls[0].rpartition(":")[2])
@@ -70,7 +70,7 @@ def presenting(
     identity: Callable[[], Any], *revoked: Any
 ) -> Callable[..., AbstractContextManager[None]]:
     @contextmanager
-    def cause(stage: Stage, pki: Pki) -> Iterator[None]:
+    def cause(stage: Lan, pki: Pki) -> Iterator[None]:
         options = {}
         if revoked:
             path = pki.files(certificates.server()).cert.with_name("crl.pem")
@@ -87,7 +87,7 @@ def presenting(
 
 
 @contextmanager
-def without_a_handshake(stage: Stage, pki: Pki) -> Iterator[None]:
+def without_a_handshake(stage: Lan, pki: Pki) -> Iterator[None]:
     with greeting(stage, pki) as port:
         waiting = [stage.talk(port) for _ in range(TIMES)]
         stage.pass_time(6)
@@ -135,7 +135,7 @@ TROUBLES: dict[str, tuple[Callable[..., AbstractContextManager[Any]], str]] = {
 
 
 @pytest.mark.parametrize("trouble", TROUBLES)
-def test_trouble_is_a_line_and_then_a_line_a_minute(stage: Stage, pki: Pki, trouble, caplog):
+def test_trouble_is_a_line_and_then_a_line_a_minute(stage: Lan, pki: Pki, trouble, caplog):
     cause, text = TROUBLES[trouble]
     with ExitStack() as stack, caplog.at_level(logging.WARNING):
         stack.enter_context(cause(stage, pki))

@@ -6,9 +6,9 @@ from contextlib import ExitStack
 import pytest
 
 from libmodbus_py.server.peer import READ_BYTES, Peer
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.attacks import READ_ONE, adu
-from tests.support.served import ANSWER_ONE, ONE_ANSWER, OTHER, OVER_TCP, ask, rtu, served
+from tests.support.lan_server import ANSWER_ONE, ONE_ANSWER, OTHER, OVER_TCP, ask, rtu, server_on
 
 KIND = pytest.mark.parametrize("kind", OVER_TCP)
 
@@ -21,8 +21,8 @@ OUT_OF_STEP = bytes.fromhex("0001 0000 ffff 11 03")
 
 @KIND
 @pytest.mark.parametrize("rate", [20, 0.5])
-def test_one_by_one_requests_take_their_time(stage: Stage, kind: str, rate: float) -> None:
-    with served(stage, kind, requests_per_second=rate) as server:
+def test_one_by_one_requests_take_their_time(stage: Lan, kind: str, rate: float) -> None:
+    with server_on(stage, kind, requests_per_second=rate) as server:
         eager, other = server.connect(), server.connect(OTHER)
         at_once = max(1, int(rate))
         begun = stage.now
@@ -37,10 +37,10 @@ def test_one_by_one_requests_take_their_time(stage: Stage, kind: str, rate: floa
 
 
 @KIND
-def test_requests_sent_at_once_wait_and_none_is_lost(stage: Stage, kind: str) -> None:
+def test_requests_sent_at_once_wait_and_none_is_lost(stage: Lan, kind: str) -> None:
     """For longer than a frame may take, and one of them is cut where reading stopped."""
     count = 300
-    with served(stage, kind, requests_per_second=100, frame_timeout=0.2) as server:
+    with server_on(stage, kind, requests_per_second=100, frame_timeout=0.2) as server:
         eager, other = server.connect(), server.connect(OTHER)
         begun = stage.now
         eager.sendall(b"".join(adu(READ_ONE, number) for number in range(count)))
@@ -61,9 +61,9 @@ def peers_in_memory() -> int:
 
 
 @KIND
-def test_a_connection_lost_while_it_waits_leaves_nothing(stage: Stage, kind: str) -> None:
+def test_a_connection_lost_while_it_waits_leaves_nothing(stage: Lan, kind: str) -> None:
     before = peers_in_memory()  # errors that tests keep may hold some
-    with served(stage, kind, requests_per_second=0.001) as server:
+    with server_on(stage, kind, requests_per_second=0.001) as server:
         for number in range(20):
             eager = server.connect(f"10.3.0.{1 + number}")
             eager.sendall(adu(READ_ONE) * 2)
@@ -76,8 +76,8 @@ def test_a_connection_lost_while_it_waits_leaves_nothing(stage: Stage, kind: str
 
 
 @KIND
-def test_connections_of_an_address_share_what_it_may_ask(stage: Stage, kind: str) -> None:
-    with served(stage, kind, requests_per_second=10) as server:
+def test_connections_of_an_address_share_what_it_may_ask(stage: Lan, kind: str) -> None:
+    with server_on(stage, kind, requests_per_second=10) as server:
         eager = [server.connect() for _ in range(8)]
         begun = stage.now
         while stage.now < begun + 10:
@@ -98,8 +98,8 @@ def test_connections_of_an_address_share_what_it_may_ask(stage: Stage, kind: str
 @pytest.mark.parametrize(
     ("count", "rest"), [(1, b""), (2, OUT_OF_STEP)], ids=["one", "two and what ends it"]
 )
-def test_a_new_connection_brings_nothing_new_to_ask(stage: Stage, kind: str, count, rest) -> None:
-    with served(stage, kind, requests_per_second=5) as server:
+def test_a_new_connection_brings_nothing_new_to_ask(stage: Lan, kind: str, count, rest) -> None:
+    with server_on(stage, kind, requests_per_second=5) as server:
         begun = stage.now
         for _ in range(100):
             with server.connect() as client:
@@ -111,9 +111,9 @@ def test_a_new_connection_brings_nothing_new_to_ask(stage: Stage, kind: str, cou
         assert stage.until(lambda: server.statistics.connections == 0)
 
 
-def test_to_be_refused_brings_nothing_new_to_ask_either(stage: Stage) -> None:
+def test_to_be_refused_brings_nothing_new_to_ask_either(stage: Lan) -> None:
     limits = {"requests_per_second": 0.5, "max_connections": 1, "when_full": "refuse"}
-    with served(stage, "plain", **limits) as server:
+    with server_on(stage, "plain", **limits) as server:
         with server.connect() as eager:
             ask(eager)
             ask(eager)
@@ -128,8 +128,8 @@ def test_to_be_refused_brings_nothing_new_to_ask_either(stage: Stage) -> None:
 
 
 @KIND
-def test_a_connection_that_waits_and_is_closed_does_not_keep_the_others(stage: Stage, kind: str):
-    with served(stage, kind, requests_per_second=2) as server:
+def test_a_connection_that_waits_and_is_closed_does_not_keep_the_others(stage: Lan, kind: str):
+    with server_on(stage, kind, requests_per_second=2) as server:
         first, second = server.connect(), server.connect()
         for _ in range(4):
             ask(first)
@@ -143,8 +143,8 @@ def test_a_connection_that_waits_and_is_closed_does_not_keep_the_others(stage: S
         assert stage.now - waited <= 0.5
 
 
-def test_frames_that_silence_completes_count_as_requests(stage: Stage) -> None:
-    with served(stage, "plain", "rtu+tcp", requests_per_second=2, idle_timeout=1) as server:
+def test_frames_that_silence_completes_count_as_requests(stage: Lan) -> None:
+    with server_on(stage, "plain", "rtu+tcp", requests_per_second=2, idle_timeout=1) as server:
         sly, idle = server.connect(), server.connect()
         begun = stage.now
         for _ in range(300):
@@ -157,10 +157,10 @@ def test_frames_that_silence_completes_count_as_requests(stage: Stage) -> None:
         assert idle.is_closed()
 
 
-def test_all_of_a_thousand_that_wait_are_answered(stage: Stage) -> None:
+def test_all_of_a_thousand_that_wait_are_answered(stage: Lan) -> None:
     """Each in its turn: none is forgotten, however many there are."""
     limits = {"requests_per_second": 10, "connections_per_address": 1000}
-    with served(stage, "plain", **limits) as server, ExitStack() as stack:
+    with server_on(stage, "plain", **limits) as server, ExitStack() as stack:
         eager = [stack.enter_context(server.connect()) for _ in range(1000)]
         begun = stage.now
         for client in eager:

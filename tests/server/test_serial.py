@@ -18,10 +18,10 @@ from libmodbus_py.server.server import Devices
 from libmodbus_py.server.service import SessionState
 from libmodbus_py.server.units import Units
 from libmodbus_py.tools.testing.wires import SerialWire
-from tests.simulation.stage import LineEnd, Stage
+from tests.simulation.lan import Lan, LineEnd
+from tests.support.driver import ascii_frame, rtu
+from tests.support.lan_server import unit_one
 from tests.support.peers import LinePeer, ignore, until
-from tests.support.served import unit_one
-from tests.support.talk import ascii_frame, rtu
 
 
 @pytest.mark.parametrize("noise", [b"\x00", b"\xff\xff", b"\x01\x03", bytes(range(40)), b":0103"])
@@ -42,7 +42,7 @@ NOISES = [b"", b"\0", b"\xff\xff", b"\2\3\x10", b"\2\x10\0\0", b"\xf8\0\x7e\x80"
 
 
 @pytest.mark.parametrize("is_gateway", [False, True])
-def test_requests_between_noise_are_carried_out_once_each(stage: Stage, is_gateway: bool) -> None:
+def test_requests_between_noise_are_carried_out_once_each(stage: Lan, is_gateway: bool) -> None:
     """The master sends the next one as soon as it has the answer."""
     with unit_one("rtu:///dev/line?baudrate=115200", is_gateway=is_gateway) as (server, writes):
         master = LineEnd(stage.line("/dev/line"))
@@ -64,7 +64,7 @@ class OddEnd(LineEnd):
 
     is_unit = True
 
-    def __init__(self, stage: Stage, end: bytes) -> None:
+    def __init__(self, stage: Lan, end: bytes) -> None:
         super().__init__(stage.line("/dev/line"))
         self._end = end
 
@@ -73,7 +73,7 @@ class OddEnd(LineEnd):
 
 
 @pytest.mark.parametrize("end", [b"\r", b"\n"])
-def test_ascii_frames_that_end_with_one_byte_are_taken(stage: Stage, end: bytes) -> None:
+def test_ascii_frames_that_end_with_one_byte_are_taken(stage: Lan, end: bytes) -> None:
     with unit_one("ascii:///dev/line"):
         master = LineEnd(stage.line("/dev/line"))
         master.write(ascii_frame("01 03 0000 0001", end))
@@ -177,7 +177,7 @@ SHORT_ANSWERS = [rtu(f"01 03 04 {number:04X} 0000") for number in range(4)]
 class TimedEnd(LineEnd):
     """Notes when it hears what."""
 
-    def __init__(self, stage: Stage, line: Any) -> None:
+    def __init__(self, stage: Lan, line: Any) -> None:
         super().__init__(line)
         self.pieces: list[tuple[float, bytes]] = []
         self._stage = stage
@@ -188,7 +188,7 @@ class TimedEnd(LineEnd):
 
 @pytest.mark.parametrize("baudrate", [1200, 9600, 115200])
 @pytest.mark.parametrize("rest", ["", "&rs485=rts-up"])
-def test_a_silence_is_between_two_answers(stage: Stage, baudrate: int, rest: str) -> None:
+def test_a_silence_is_between_two_answers(stage: Lan, baudrate: int, rest: str) -> None:
     service = Service()
 
     async def begun() -> SerialServer:

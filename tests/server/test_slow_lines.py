@@ -7,10 +7,10 @@ from libmodbus_py.pdu import Diagnostics
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.framing import make_framer
 from libmodbus_py.protocol.scan import pause_between_frames
-from tests.simulation.stage import LineEnd, Stage
+from tests.simulation.lan import Lan, LineEnd
 from tests.support.cases import each_case
-from tests.support.served import unit_one
-from tests.support.talk import rtu
+from tests.support.driver import rtu
+from tests.support.lan_server import unit_one
 
 WRITE = rtu("01 06 0001 0003")
 READ, ANSWER = rtu("01 03 0001 0001"), rtu("01 03 02 0000")
@@ -50,7 +50,7 @@ def test_everything_that_cuts_frames_waits_for_it() -> None:
 
 @pytest.mark.parametrize("is_gateway", [False, True])
 @pytest.mark.parametrize("baudrate", [300, 600, 1200, 9600])
-def test_no_part_of_a_frame_is_carried_out(stage: Stage, baudrate: int, is_gateway: bool) -> None:
+def test_no_part_of_a_frame_is_carried_out(stage: Lan, baudrate: int, is_gateway: bool) -> None:
     with unit_one(f"rtu:///dev/line?baudrate={baudrate}", is_gateway=is_gateway) as (_, writes):
         stage.line("/dev/line").character = 11 / baudrate
         master = LineEnd(stage.line("/dev/line"))
@@ -78,7 +78,7 @@ def test_a_listener_hears_whole_frames() -> None:
 
 
 @pytest.mark.parametrize("is_async", [False, True])
-def test_a_client_takes_a_slow_answer_whole(stage: Stage, is_async: bool) -> None:
+def test_a_client_takes_a_slow_answer_whole(stage: Lan, is_async: bool) -> None:
     """It is the answer of a unit to a loopback, whose data begin with a CRC that fits."""
     data = rtu("01 08 0000")[-2:] + WRITE
     line = "rtu:///dev/line?baudrate=300"
@@ -102,7 +102,7 @@ class SlowUnit(LineEnd):
 
     is_unit = True
 
-    def __init__(self, stage: Stage, answer: bytes) -> None:
+    def __init__(self, stage: Lan, answer: bytes) -> None:
         super().__init__(stage.line("/dev/line"))
         self._stage = stage
         self._answer = answer

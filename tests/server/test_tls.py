@@ -19,11 +19,11 @@ from libmodbus_py import Access, Device, Mapping, Server
 from libmodbus_py.security.certificates import encode_role
 from libmodbus_py.tools.certificates import Identity
 from libmodbus_py.version import how_to_add
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support import certificates
 from tests.support.attacks import PATIENCE
 from tests.support.certificates import Pki
-from tests.support.events import Events, named, whose
+from tests.support.events import Events, certificate_fields, identity_fields
 from tests.support.tls import ONE, VERSION, VERSIONS, TlsClient, context, serving, talking
 
 
@@ -44,13 +44,13 @@ def noting(roles: list[str | None]) -> Device:
 
 
 @pytest.fixture
-def served(stage: Stage, pki: Pki, noting: Device, events: Events) -> Iterator[tuple[Server, int]]:
+def served(stage: Lan, pki: Pki, noting: Device, events: Events) -> Iterator[tuple[Server, int]]:
     with serving(pki, noting, audit=events.append) as served:
         yield served
 
 
 def test_an_authority_below_may_have_signed_if_it_is_shown(
-    stage: Stage, served: tuple[Server, int], pki: Pki, roles: list[str | None]
+    stage: Lan, served: tuple[Server, int], pki: Pki, roles: list[str | None]
 ) -> None:
     identity = certificates.client("Chief", issuer=certificates.intermediate())
     with TlsClient(served[1], context(pki, identity), stage=stage).handshake() as client:
@@ -71,7 +71,7 @@ GCM = "AES128-GCM-SHA256"
     ],
 )
 def test_the_suites_that_must_be_there_are(
-    stage: Stage, pki: Pki, key: str, version: str, ciphers: str | None, negotiated: str
+    stage: Lan, pki: Pki, key: str, version: str, ciphers: str | None, negotiated: str
 ) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
     security = pki.security(certificates.server(**keys))
@@ -101,7 +101,7 @@ def test_the_suites_that_must_be_there_are(
     ],
     ids=lambda ciphers: ciphers.partition(":")[0],
 )
-def test_suites_that_are_weak_are_refused(stage: Stage, pki: Pki, key: str, ciphers: str) -> None:
+def test_suites_that_are_weak_are_refused(stage: Lan, pki: Pki, key: str, ciphers: str) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
     security = pki.security(certificates.server(**keys))
     told = context(pki, certificates.client(**keys), VERSIONS["1.2"], f"{ciphers}:@SECLEVEL=0")
@@ -116,7 +116,7 @@ def test_suites_that_are_weak_are_refused(stage: Stage, pki: Pki, key: str, ciph
 
 
 @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1, ssl.TLSVersion.TLSv1_1])
-def test_older_versions_are_refused(stage: Stage, pki: Pki, served: tuple[Server, int], version):
+def test_older_versions_are_refused(stage: Lan, pki: Pki, served: tuple[Server, int], version):
     told = context(pki, certificates.client(), version, "ALL:@SECLEVEL=0")
     with (
         TlsClient(served[1], told, stage=stage) as client,
@@ -188,7 +188,7 @@ BAD: dict[str, tuple[Callable[[], Identity | None], str, str | None]] = {
 @VERSION
 @pytest.mark.parametrize("who", BAD)
 def test_nobody_gets_in_with_a_bad_certificate(
-    stage: Stage,
+    stage: Lan,
     pki: Pki,
     served: tuple[Server, int],
     roles: list[str | None],
@@ -225,7 +225,9 @@ def test_nobody_gets_in_with_a_bad_certificate(
         assert record.getMessage().startswith(f"{peer}: ")
     message = loud[-1].getMessage()
     assert any(each in message for each in logged.split("|")), message
-    assert [(each.event, whose(each)) for each in events] == [("handshake", named(identity))] * 2
+    assert [(each.event, identity_fields(each)) for each in events] == [
+        ("handshake", certificate_fields(identity))
+    ] * 2
     assert any(each in events[-1].result for each in logged.split("|"))
     if alert is None:  # OpenSSL keeps to itself whose it was that it refused
         assert message.endswith(f"SHA-256 {digest(identity)}")
@@ -233,7 +235,7 @@ def test_nobody_gets_in_with_a_bad_certificate(
 
 @VERSION
 def test_a_session_of_one_that_was_refused_is_refused(
-    stage: Stage, pki: Pki, served: tuple[Server, int], version: ssl.TLSVersion
+    stage: Lan, pki: Pki, served: tuple[Server, int], version: ssl.TLSVersion
 ) -> None:
     """Its role is read when OpenSSL has given the ticket away."""
     told = context(pki, BAD["two roles"][0](), version)
@@ -280,7 +282,7 @@ def test_without_cryptography_only_roles_are_refused(pki: Pki) -> None:
 
 
 @pytest.mark.parametrize("how", ["one", "several", "with a hash"])
-def test_only_those_that_are_pinned_get_in(stage: Stage, pki: Pki, how: str) -> None:
+def test_only_those_that_are_pinned_get_in(stage: Lan, pki: Pki, how: str) -> None:
     mine = certificates.self_signed(role="Installer")
     files = [pki.files(mine).cert]
     if how != "one":
@@ -309,7 +311,7 @@ def digest(identity: Identity | None) -> str:
     return hashlib.sha256(identity.der).hexdigest()
 
 
-def test_what_a_pinned_one_has_signed_is_not_pinned(stage: Stage, pki: Pki, caplog) -> None:
+def test_what_a_pinned_one_has_signed_is_not_pinned(stage: Lan, pki: Pki, caplog) -> None:
     """OpenSSL takes it, for the pinned one is what it trusts."""
     security = pki.server(pin=pki.authority(certificates.authority()))
     with caplog.at_level(logging.INFO), talking(stage, pki, security=security) as (server, client):
@@ -318,7 +320,7 @@ def test_what_a_pinned_one_has_signed_is_not_pinned(stage: Stage, pki: Pki, capl
     assert "none of the pins" in caplog.text
 
 
-def test_a_pinned_one_must_be_good_for_clients(stage: Stage, pki: Pki) -> None:
+def test_a_pinned_one_must_be_good_for_clients(stage: Lan, pki: Pki) -> None:
     """OpenSSL looks at the extended key usage, and cannot be told not to."""
     mine = certificates.server_only()
     security = pki.server(pin=pki.files(mine).cert)
@@ -333,7 +335,7 @@ def test_a_pinned_one_must_be_good_for_clients(stage: Stage, pki: Pki) -> None:
 
 @VERSION
 def test_a_pinned_one_may_be_old_also_when_it_resumes(
-    stage: Stage, pki: Pki, version: ssl.TLSVersion
+    stage: Lan, pki: Pki, version: ssl.TLSVersion
 ) -> None:
     mine = certificates.self_signed(**certificates.expired())
     told = context(pki, mine, version)
@@ -349,7 +351,7 @@ def test_a_pinned_one_may_be_old_also_when_it_resumes(
 
 @pytest.mark.parametrize("how", ["1.2", "1.2 without tickets", "1.3"])
 def test_a_session_that_is_resumed_keeps_its_role(
-    stage: Stage, pki: Pki, served: tuple[Server, int], roles: list[str | None], how: str
+    stage: Lan, pki: Pki, served: tuple[Server, int], roles: list[str | None], how: str
 ) -> None:
     server, port = served
     told = context(pki, certificates.client("Chief"), VERSIONS[how[:3]])
@@ -367,7 +369,7 @@ def test_a_session_that_is_resumed_keeps_its_role(
 
 @VERSION
 def test_a_certificate_that_expired_meanwhile_resumes_nothing(
-    stage: Stage, pki: Pki, served: tuple[Server, int], caplog, monkeypatch, version: ssl.TLSVersion
+    stage: Lan, pki: Pki, served: tuple[Server, int], caplog, monkeypatch, version: ssl.TLSVersion
 ) -> None:
     """OpenSSL looks at the dates when a session begins, and not again."""
     server, port = served

@@ -17,7 +17,7 @@ from functools import partial
 import pytest
 
 from libmodbus_py import Limits
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support import certificates
 from tests.support.attacks import ServerProcess, connect
 from tests.support.certificates import Pki
@@ -80,7 +80,7 @@ GARBAGE: dict[str, Callable[[], bytes]] = {
 
 @pytest.mark.parametrize("what", GARBAGE)
 @pytest.mark.parametrize("behind", ["at once", "behind a hello"])
-def test_what_is_no_tls_ends_the_connection(stage: Stage, pki: Pki, what, behind, caplog) -> None:
+def test_what_is_no_tls_ends_the_connection(stage: Lan, pki: Pki, what, behind, caplog) -> None:
     sent = (hello(pki) if behind != "at once" else b"") + GARBAGE[what]()
     limits = Limits(handshake_timeout=1)
     with nothing_loud(caplog), serving(pki, limits=limits) as (server, port):
@@ -95,7 +95,7 @@ def test_what_is_no_tls_ends_the_connection(stage: Stage, pki: Pki, what, behind
         assert is_served(pki, port, stage)
 
 
-def test_a_hello_with_anything_in_it_does_no_harm(stage: Stage, pki: Pki, caplog) -> None:
+def test_a_hello_with_anything_in_it_does_no_harm(stage: Lan, pki: Pki, caplog) -> None:
     """Bytes of a good one are changed, a few at a time."""
     good, chance = hello(pki), random.Random(7)
     with nothing_loud(caplog), serving(pki) as (server, port):
@@ -154,7 +154,7 @@ AFTER: dict[str, Callable[[TlsClient], bytes]] = {
 @VERSION
 @pytest.mark.parametrize("what", AFTER)
 def test_what_is_no_record_ends_the_connection_but_no_other(
-    stage: Stage, pki: Pki, what: str, version: ssl.TLSVersion, caplog: pytest.LogCaptureFixture
+    stage: Lan, pki: Pki, what: str, version: ssl.TLSVersion, caplog: pytest.LogCaptureFixture
 ) -> None:
     with (
         nothing_loud(caplog),
@@ -176,7 +176,7 @@ def test_what_is_no_record_ends_the_connection_but_no_other(
         assert innocent.is_answered()
 
 
-def test_who_is_cut_off_for_a_bad_record_gets_an_alert(stage: Stage, pki: Pki) -> None:
+def test_who_is_cut_off_for_a_bad_record_gets_an_alert(stage: Lan, pki: Pki) -> None:
     with talking(stage, pki) as (server, client):
         client.socket.sendall(flipped(client.encrypt(ONE)))
         with pytest.raises(ssl.SSLError, match="BAD_RECORD_MAC"):
@@ -237,7 +237,7 @@ def test_openssl_may_not_negotiate_again_but_change_its_keys(pki: Pki, command: 
         assert is_served(pki, port)
 
 
-def test_a_fatal_alert_in_the_middle_of_a_session_ends_it(stage: Stage, pki: Pki) -> None:
+def test_a_fatal_alert_in_the_middle_of_a_session_ends_it(stage: Lan, pki: Pki) -> None:
     """Python's ssl sends one when what it gets is not a record."""
     with talking(stage, pki) as (server, client):
         assert client.is_answered()

@@ -7,7 +7,7 @@ import pytest
 
 from libmodbus_py import Limits
 from libmodbus_py.server import tls as server_tls
-from tests.simulation.stage import Stage, Talker
+from tests.simulation.lan import Lan, LanClient
 from tests.support import certificates
 from tests.support.certificates import Pki
 from tests.support.tls import (
@@ -26,7 +26,7 @@ from tests.support.tls import (
 
 
 @pytest.mark.parametrize("how", ["connects only", "greets only", "trickles"])
-def test_a_handshake_must_end_in_time(stage: Stage, pki: Pki, how, caplog) -> None:
+def test_a_handshake_must_end_in_time(stage: Lan, pki: Pki, how, caplog) -> None:
     first, limits = hello(pki), Limits(handshake_timeout=100)
     with nothing_loud(caplog), serving(pki, limits=limits) as (server, port):
         begun = stage.now
@@ -48,7 +48,7 @@ def test_a_handshake_must_end_in_time(stage: Stage, pki: Pki, how, caplog) -> No
 
 
 @VERSION
-def test_a_slow_handshake_is_not_hurried(stage: Stage, pki: Pki, version: ssl.TLSVersion) -> None:
+def test_a_slow_handshake_is_not_hurried(stage: Lan, pki: Pki, version: ssl.TLSVersion) -> None:
     """The time of a frame begins when the handshake is over."""
     limits = Limits(handshake_timeout=1000, frame_timeout=0.2)
     told = context(pki, certificates.client(), version)
@@ -65,7 +65,7 @@ def test_a_slow_handshake_is_not_hurried(stage: Stage, pki: Pki, version: ssl.TL
         assert server.statistics.closed_slow == 0
 
 
-def test_the_oldest_half_open_one_makes_room(stage: Stage, pki: Pki, monkeypatch) -> None:
+def test_the_oldest_half_open_one_makes_room(stage: Lan, pki: Pki, monkeypatch) -> None:
     monkeypatch.setattr(server_tls, "HALF_OPEN", 5)
     first = hello(pki)
     with serving(pki) as (server, port), contextlib.ExitStack() as stack:
@@ -85,7 +85,7 @@ def test_the_oldest_half_open_one_makes_room(stage: Stage, pki: Pki, monkeypatch
         assert still_open(waiting[4])
 
 
-def still_open(connection: Talker) -> bool:
+def still_open(connection: LanClient) -> bool:
     connection.settimeout(0.1)
     try:
         while connection.recv(65536):
@@ -97,7 +97,7 @@ def still_open(connection: Talker) -> bool:
     return False
 
 
-def test_handshakes_that_are_closed_in_the_line_cost_others_nothing(stage: Stage, pki: Pki) -> None:
+def test_handshakes_that_are_closed_in_the_line_cost_others_nothing(stage: Lan, pki: Pki) -> None:
     """By their client, by the sweep, and to make room."""
     first = hello(pki)
     limits = Limits(handshake_timeout=0.2, max_connections=40)
@@ -120,7 +120,7 @@ def test_handshakes_that_are_closed_in_the_line_cost_others_nothing(stage: Stage
 
 
 def test_an_address_that_has_asked_too_much_does_not_hold_up_the_handshakes_of_others(
-    stage: Stage, pki: Pki
+    stage: Lan, pki: Pki
 ) -> None:
     limits, first = Limits(requests_per_second=1), hello(pki)
     told = context(pki, certificates.client())

@@ -16,12 +16,12 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Device, Fault, Limits, Mapping
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support import certificates
 from tests.support.attacks import ANSWER_ONE, READ_MOST, READ_ONE, adu
 from tests.support.certificates import Pki
 from tests.support.interop import our_tls_server
-from tests.support.served import KINDS, NEVER
+from tests.support.lan_server import KINDS, NEVER
 from tests.support.tls import (
     ONE,
     ONE_ANSWER,
@@ -58,7 +58,7 @@ def answers(count: int) -> bytes:
     "cut", ["a record", "a byte in a record", "a record in bytes", "two records", "one and a half"]
 )
 def test_records_may_cut_requests_anywhere(
-    stage: Stage, pki: Pki, way: dict[str, Any], cut: str, version: ssl.TLSVersion
+    stage: Lan, pki: Pki, way: dict[str, Any], cut: str, version: ssl.TLSVersion
 ) -> None:
     sent = requests(50)
     with talking(stage, pki, version=version, **way) as (server, client):
@@ -81,7 +81,7 @@ def test_records_may_cut_requests_anywhere(
 @pytest.mark.parametrize("rate", [None, 1000])
 @pytest.mark.parametrize("cuts", [[12], [12, 24], [12, 30], [12, 36, 40]], ids=repr)
 def test_records_read_together_are_carried_out_in_order(
-    stage: Stage, pki: Pki, way: dict[str, Any], cuts: list[int], rate: int | None
+    stage: Lan, pki: Pki, way: dict[str, Any], cuts: list[int], rate: int | None
 ) -> None:
     """The first holds one request and nothing else; what follows does not overtake it."""
     pdus = ("06 0000 0005", "03 0000 0001", "06 0000 0006", "03 0000 0001")
@@ -99,7 +99,7 @@ def test_records_read_together_are_carried_out_in_order(
         assert server.statistics.requests == 4
 
 
-def test_a_record_full_of_requests_is_answered_in_slices(stage: Stage, pki: Pki) -> None:
+def test_a_record_full_of_requests_is_answered_in_slices(stage: Lan, pki: Pki) -> None:
     """Others have their turns between: what one record carries is up to 1365 requests."""
     turns: list[str] = []
     device = Device(
@@ -127,7 +127,7 @@ def test_a_record_full_of_requests_is_answered_in_slices(stage: Stage, pki: Pki)
 
 @VERSION
 def test_requests_in_the_last_flight_of_the_handshake_are_answered(
-    stage: Stage, pki: Pki, version: ssl.TLSVersion
+    stage: Lan, pki: Pki, version: ssl.TLSVersion
 ) -> None:
     told = context(pki, certificates.client(), version)
     with serving(pki) as (_, port), TlsClient(port, told, stage=stage) as client:
@@ -147,7 +147,7 @@ def test_requests_in_the_last_flight_of_the_handshake_are_answered(
 
 @VERSION
 def test_who_says_goodbye_behind_a_request_gets_the_answer_and_a_goodbye(
-    stage: Stage, pki: Pki, way: dict[str, Any], version: ssl.TLSVersion
+    stage: Lan, pki: Pki, way: dict[str, Any], version: ssl.TLSVersion
 ) -> None:
     with serving(pki, **way) as (server, port):
         with connected(stage, pki, port, version) as other:
@@ -173,7 +173,7 @@ def raw_records(client: TlsClient) -> bytes:
     return data
 
 
-def test_what_comes_behind_a_goodbye_is_not_looked_at(stage: Stage, pki: Pki) -> None:
+def test_what_comes_behind_a_goodbye_is_not_looked_at(stage: Lan, pki: Pki) -> None:
     with talking(stage, pki) as (server, client):
         late = client.encrypt(ONE)
         client.socket.sendall(client.goodbye() + late * 3)
@@ -181,7 +181,7 @@ def test_what_comes_behind_a_goodbye_is_not_looked_at(stage: Stage, pki: Pki) ->
         assert server.statistics.requests == 0
 
 
-def test_answers_that_are_kept_back_come_in_order(stage: Stage, pki: Pki) -> None:
+def test_answers_that_are_kept_back_come_in_order(stage: Lan, pki: Pki) -> None:
     late = {None: [Fault("delay", seconds=200, every=3)]}
     with talking(stage, pki, faults=late) as (_, client):
         client.send(requests(4), *(adu(READ_ONE, number) for number in range(4, 8)))
@@ -189,7 +189,7 @@ def test_answers_that_are_kept_back_come_in_order(stage: Stage, pki: Pki) -> Non
 
 
 def test_who_does_not_read_is_not_read_and_gets_all_when_he_does(
-    stage: Stage, pki: Pki, way: dict[str, Any]
+    stage: Lan, pki: Pki, way: dict[str, Any]
 ) -> None:
     """A record has 350 kB of answers; two are more than the network in memory carries."""
     count, limits = 1365, Limits(max_unsent=10_000)
@@ -206,7 +206,7 @@ def test_who_does_not_read_is_not_read_and_gets_all_when_he_does(
             assert answer == struct.pack(">H", number) + MOST_ANSWER[2:]
 
 
-def test_requests_per_second_hold_within_a_record(stage: Stage, pki: Pki, way: dict[str, Any]):
+def test_requests_per_second_hold_within_a_record(stage: Lan, pki: Pki, way: dict[str, Any]):
     limits = Limits(requests_per_second=200)
     with talking(stage, pki, limits=limits, **way) as (server, client):
         begin = stage.now
@@ -274,7 +274,7 @@ ENDS: dict[str, tuple[Callable[[TlsClient], object], float, str]] = {
 @VERSION
 @pytest.mark.parametrize("what", ENDS)
 def test_whom_the_server_closes_gets_a_goodbye(
-    stage: Stage, pki: Pki, what: str, version: ssl.TLSVersion
+    stage: Lan, pki: Pki, what: str, version: ssl.TLSVersion
 ) -> None:
     act, seconds, counter = ENDS[what]
     limits = Limits(frame_timeout=30, idle_timeout=300)
@@ -291,7 +291,7 @@ def test_whom_the_server_closes_gets_a_goodbye(
 
 
 @VERSION
-def test_the_server_says_goodbye_when_it_ends(stage: Stage, pki: Pki, version: ssl.TLSVersion):
+def test_the_server_says_goodbye_when_it_ends(stage: Lan, pki: Pki, version: ssl.TLSVersion):
     with serving(pki) as (_, port):
         client = connected(stage, pki, port, version)
         assert client.is_answered()

@@ -31,12 +31,12 @@ from libmodbus_py import (
     Traced,
 )
 from libmodbus_py.tools.testing.wires import SerialWire
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.attacks import ask, connect
 from tests.support.cases import each_case
 from tests.support.certificates import Pki, secured
+from tests.support.driver import ascii_frame, rtu
 from tests.support.peers import until
-from tests.support.talk import ascii_frame, rtu
 from tests.support.transports import serving
 
 READ = bytes.fromhex("0001 0000 0006 11 03 0000 0002")
@@ -158,7 +158,7 @@ def test_a_spoilt_answer_is_told_as_it_went_out_and_the_next_one_whole(fault, sp
     assert told[-1].function == 3
 
 
-def test_an_answer_that_is_kept_back_is_told_when_it_is_sent(stage: Stage) -> None:
+def test_an_answer_that_is_kept_back_is_told_when_it_is_sent(stage: Lan) -> None:
     told: list[Traced] = []
     server = Server(
         {17: made_device()}, faults={17: [Fault("delay", seconds=10)]}, trace=told.append

@@ -13,8 +13,8 @@ from typing import Self
 from libmodbus_py.ports.endpoint import parse
 from tests.support.attacks import UNIT, Attack, Step, adu
 
+from .lan import Lan, LanClient
 from .sockets import DELAY, MemorySocket, at_once
-from .stage import Stage, Talker
 
 # How often an attacker that cannot send, or has sent, tries to send again.
 PERIOD = 0.001
@@ -23,10 +23,10 @@ PERIOD = 0.001
 class Attackers:
     """All connections of an attack, each from a host of its own, until it is left."""
 
-    def __init__(self, stage: Stage, attack: Attack, url: str) -> None:
+    def __init__(self, stage: Lan, attack: Attack, url: str) -> None:
         self.attack: Attack = attack
         self.connected = self.sent = self.received = 0
-        self.stage: Stage = stage
+        self.stage: Lan = stage
         self.is_over: bool = False
         endpoint = parse(url)
         self.target: tuple[str, int] = endpoint.host, endpoint.port
@@ -138,7 +138,7 @@ class Innocent:
     FIRST = 1000
     VALUES = tuple(range(40_000, 40_010))
 
-    def __init__(self, stage: Stage, client: Talker, count: Callable[[], int]) -> None:
+    def __init__(self, stage: Lan, client: LanClient, count: Callable[[], int]) -> None:
         self._stage = stage
         self._client = client
         self._requests = count

@@ -26,15 +26,17 @@ class Break:
     """One rule that is taken out."""
 
     rule: str
-    casts: tuple[str, ...]
+    scenarios: tuple[str, ...]
     broken: Callable[[], AbstractContextManager[object]]
     faults: tuple[str, ...] = ()
 
     def options(self, base: Options) -> Options:
-        """Return the run of a seed, with one of these casts."""
-        cast = self.casts[base.seed % len(self.casts)]
+        """Return the run of a seed, with one of these scenarios."""
+        scenario = self.scenarios[base.seed % len(self.scenarios)]
         faults = self.faults or base.faults
-        return replace(base, cast=cast, faults=faults, pause=min(base.pause, 0.1), seconds=20.0)
+        return replace(
+            base, scenario=scenario, faults=faults, pause=min(base.pause, 0.1), seconds=20.0
+        )
 
 
 @contextlib.contextmanager
@@ -125,7 +127,7 @@ BREAKS: tuple[Break, ...] = (
         ("silent unit",),
         lambda: patch.object(SilentUnits, "state", lambda *_: UnitState.GOOD),
     ),
-    Break("hosts take turns", ("crowd",), _only_one_queue),
+    Break("hosts take turns", ("many clients",), _only_one_queue),
     Break(
         "what a caller withdrew is not sent",
         ("tcp", "line", "rtu+tcp"),

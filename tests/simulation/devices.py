@@ -4,7 +4,7 @@ Units that answer over TCP and on lines, each in its own way: late, twice, damag
 Frames are read and made here from the specification, and not by the package. A unit knows two
 functions. A read of five registers (function 3) is answered with the unit, the address and the
 time, so that the value itself says whose it is and how old; a write (function 6) is told to the
-witness.
+checker.
 """
 
 import struct
@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 
 from .events import START, Events
 from .lines import Party, SerialLine

@@ -21,8 +21,8 @@ from libmodbus_py.services.engine.buckets import Bucket, Change
 from libmodbus_py.services.workers.records import BUCKET
 
 from .engine_client import EngineClient, Keys, Link, Message, Subscription
-from .given import giving
 from .network import Network
+from .runner import runner_of
 
 # Seconds that a message takes each way: the least and the most.
 DELAY = (0.0002, 0.002)
@@ -306,5 +306,5 @@ def _run_with_engine(test: Callable[..., Any]) -> None:
     network.run(main)
 
 
-with_engine = giving(_run_with_engine, count=2)
+with_engine = runner_of(_run_with_engine, count=2)
 """Let a test have a server of NATS on simulated time, and a client of it."""

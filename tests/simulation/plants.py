@@ -8,8 +8,8 @@ from typing import Any
 from libmodbus_py import Fleet, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, Reading
 from tests.services.fleet.fleets import NETWORK
+from tests.support.driver import rtu
 from tests.support.peers import mbap
-from tests.support.talk import rtu
 
 from .scripted import Scripted, Write
 

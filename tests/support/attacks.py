@@ -23,7 +23,7 @@ from typing import NamedTuple, Self
 from libmodbus_py.ports.endpoint import parse
 from tests.support import certificates
 from tests.support.certificates import Pki
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 
 UNIT = 17
 READ_ONE = bytes.fromhex("03 0000 0001")

@@ -43,7 +43,7 @@ HOLES = {
 """The same from the first to the last address; one run touches another."""
 
 
-def made_device(contents: Any = WHOLE, **options: Any) -> Device:
+def make_device(contents: Any = WHOLE, **options: Any) -> Device:
     return Device(Mapping(**contents), files={4: range(20)}, fifos={9: [1]}, **options)
 
 

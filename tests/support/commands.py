@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import NamedTuple, Self, TextIO
 
 from libmodbus_py.cli.main import main
-from tests.support.leaks import lasts
+from tests.support.leaks import note_lasting
 
 PROGRAM = [sys.executable, "-m", "libmodbus_py"]
 
@@ -51,7 +51,7 @@ def page_url(line: str) -> str:
     return url.replace("...", *PAGE_TOKEN.values())
 
 
-class Done(NamedTuple):
+class Result(NamedTuple):
     """How a command ended: its exit code, and what it printed."""
 
     code: int
@@ -61,7 +61,7 @@ class Done(NamedTuple):
 
 def run(
     *arguments: object, out: TextIO | None = None, environment: Mapping[str, str] | None = None
-) -> Done:
+) -> Result:
     """
     Call the command line in this process. `arguments`: as they are typed, without the name of the
     program; `out`: the standard output; None collects it; `environment`: variables beside those of
@@ -75,9 +75,9 @@ def run(
     ):
         try:
             code = main([str(each) for each in arguments])
-        except SystemExit as ended:
-            code = int(ended.code or 0)
-    return Done(code, printed.text(), errors.text())
+        except SystemExit as run_forked:
+            code = int(run_forked.code or 0)
+    return Result(code, printed.text(), errors.text())
 
 
 class _Collected(io.TextIOWrapper):
@@ -120,7 +120,7 @@ def _command_server() -> socket.socket:
             stdin=subprocess.DEVNULL,
         )
 
-    lasts(ours.fileno(), process.pid)
+    note_lasting(ours.fileno(), process.pid)
 
     def end() -> None:
         ours.close()
@@ -241,11 +241,11 @@ class Started:
         return rest[self.stdout], rest[self.stderr]
 
 
-def ended(*arguments: object, stdout: int | None = None) -> Done:
+def run_forked(*arguments: object, stdout: int | None = None) -> Result:
     """Run a command to its end in a process of its own: for one that writes to descriptor 1."""
     with Started(*arguments, stdout=stdout) as process:
         out, err = process.communicate()
-    return Done(process.wait(), out, err)
+    return Result(process.wait(), out, err)
 
 
 def _pipe(stack: contextlib.ExitStack, descriptor: int | None) -> tuple[TextIO, int]:

@@ -17,12 +17,12 @@ class Events(list[AuditEvent]):
         (super() if event.peer else self.own).append(event)
 
 
-def whose(event: AuditEvent) -> tuple[str | None, ...]:
+def identity_fields(event: AuditEvent) -> tuple[str | None, ...]:
     """Return what an event has of a certificate."""
     return event.subject, event.serial, event.issuer, event.fingerprint
 
 
-def named(identity: Identity | None) -> tuple[str | None, ...]:
+def certificate_fields(identity: Identity | None) -> tuple[str | None, ...]:
     """Return what events must have of a certificate."""
     if identity is None:
         return (None,) * 4

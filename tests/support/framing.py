@@ -38,7 +38,7 @@ def take(framer: AnyFramer, data: bytes = b"") -> tuple[list[Frame], list[FrameE
         data = b""
 
 
-def quiet(framer: AnyFramer) -> list[Frame]:
+def after_silence(framer: AnyFramer) -> list[Frame]:
     """Return the frames that silence ends; its errors do not matter here."""
     frames: list[Frame] = []
     with contextlib.suppress(FrameError):
@@ -46,7 +46,7 @@ def quiet(framer: AnyFramer) -> list[Frame]:
     return frames + take(framer)[0]
 
 
-def taken(framer: AnyFramer, data: bytes) -> list[Frame]:
+def frames_in(framer: AnyFramer, data: bytes) -> list[Frame]:
     """Frames in bytes that silence follows, and no errors."""
     frames, errors = take(framer, data)
     frames += framer.silence()
@@ -67,16 +67,16 @@ def pieces(data: bytes, sizes: list[int]) -> Iterator[bytes]:
     yield data[at:]
 
 
-def fed_in_bytes(framer: AnyFramer, data: bytes) -> list[Frame]:
+def feed_bytes(framer: AnyFramer, data: bytes) -> list[Frame]:
     """Return the frames that the last byte completes; none is complete before."""
     for byte in single_bytes(data[:-1]):
         assert framer.feed(byte) == []
     return framer.feed(data[-1:])
 
 
-def taken_in_bytes(framer: AnyFramer, data: bytes) -> list[Frame]:
+def frames_in_bytes(framer: AnyFramer, data: bytes) -> list[Frame]:
     """Return the frames that the last byte, or silence behind it, completes."""
-    return fed_in_bytes(framer, data) + framer.silence()
+    return feed_bytes(framer, data) + framer.silence()
 
 
 def rtu(unit: int, body: bytes) -> bytes:
@@ -102,7 +102,7 @@ LONGEST = Frame(17, b"\x15\xfb\x06\x00\x04\x00\x07\x00\x7a" + bytes(range(244)))
 
 
 @contextlib.contextmanager
-def registered(rule: Callable[[bytes], Any]) -> Iterator[type[pdu.RawRequest]]:
+def registration(rule: Callable[[bytes], Any]) -> Iterator[type[pdu.RawRequest]]:
     """A class of one's own, function 6Dh, whose messages are as long as the rule says."""
 
     class Own(pdu.RawRequest):

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from libmodbus_py import Client, Device, Fault, Gateway, Route, Server
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.interop import BAUDRATE, UNIT, make_device
 from tests.support.transports import serving
 
@@ -21,7 +21,7 @@ class Passage(NamedTuple):
 
 
 @contextmanager
-def at_one_end(scheme: str, served: Any, stage: Stage | None, name: str) -> Iterator[str]:
+def at_one_end(scheme: str, served: Any, stage: Lan | None, name: str) -> Iterator[str]:
     """
     Serve on one kind of line, and yield the URL of a client. `served`: a server or a gateway;
     `stage`: where the line is, in place of the system; a serial one then has this name.
@@ -44,7 +44,7 @@ def passage(
     faults: dict[int | None, list[Fault]] | None = None,
     line_options: str = "timeout=2",
     route: dict[str, Any] | None = None,
-    stage: Stage | None = None,
+    stage: Lan | None = None,
     **options: Any,
 ) -> Iterator[Passage]:
     """

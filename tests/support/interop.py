@@ -114,7 +114,7 @@ Case = TypeVar("Case")
 Record = Callable[[str, object], None]
 
 
-def tried(
+def try_cases(
     record: Record, cases: Iterable[tuple[str, Case]]
 ) -> Generator[tuple[Check, Case], None, None]:
     """
@@ -306,7 +306,7 @@ def of_a_client(
 
 def check_answers(url: str, peer: str, cases: Iterable[Exchange], record: Record) -> None:
     """Assert that clients get each answer of a server, and that it does what it is asked."""
-    for check, exchange in tried(record, of_a_client(peer, parse(url).scheme, cases)):
+    for check, exchange in try_cases(record, of_a_client(peer, parse(url).scheme, cases)):
         with check, connected(url) as context:
             for _ in range(2):
                 assert exchange.ask(context) == exchange.answer
@@ -316,7 +316,7 @@ def check_answers(url: str, peer: str, cases: Iterable[Exchange], record: Record
 
 def check_refusals(url: str, peer: str, record: Record) -> None:
     """Assert that clients raise what a server refuses, and go on."""
-    for check, exchange in tried(record, of_a_client(peer, parse(url).scheme, refusals())):
+    for check, exchange in try_cases(record, of_a_client(peer, parse(url).scheme, refusals())):
         # A line is silent for a timeout where an answer could be that of the request before.
         with check, connected(url, timeout=2.0) as context:
             for _ in range(2):

@@ -44,7 +44,7 @@ LASTING_DESCRIPTORS: set[str] = set()
 LASTING_CHILDREN: set[str] = set()
 
 
-def lasts(descriptor: int, process: int) -> None:
+def note_lasting(descriptor: int, process: int) -> None:
     """Let the rest of the run keep a descriptor and a child process: no test left them."""
     LASTING_DESCRIPTORS.add(str(descriptor))
     LASTING_CHILDREN.add(str(process))
@@ -213,13 +213,13 @@ LOOPS = Loops()
 def pytest_configure(config: pytest.Config) -> None:
     """Make event loops and their runners report what they hold when they end."""
     if not hasattr(base_events.BaseEventLoop.close, "__wrapped__"):
-        _tell_before(base_events.BaseEventLoop, "__init__", LOOPS.made)
-        _tell_before(base_events.BaseEventLoop, "close", LOOPS.closing)
-        _tell_before(runners, "_cancel_all_tasks", LOOPS.cancelling)
-        _tell_before(runners.Runner, "run", LOOPS.running)
+        _call_before(base_events.BaseEventLoop, "__init__", LOOPS.made)
+        _call_before(base_events.BaseEventLoop, "close", LOOPS.closing)
+        _call_before(runners, "_cancel_all_tasks", LOOPS.cancelling)
+        _call_before(runners.Runner, "run", LOOPS.running)
 
 
-def _tell_before(owner: Any, name: str, tell: Callable[..., None]) -> None:
+def _call_before(owner: Any, name: str, tell: Callable[..., None]) -> None:
     wrapped = getattr(owner, name)
 
     def telling(*arguments: Any, **options: Any) -> Any:
@@ -237,21 +237,21 @@ def freeze() -> None:
 
 
 @pytest.fixture(autouse=True)
-def nothing_left(request: pytest.FixtureRequest) -> Iterator[None]:
+def no_leaks(request: pytest.FixtureRequest) -> Iterator[None]:
     """Fail a test that left something behind, by name."""
     replier()  # each thread keeps one, and has it from its first request on
     LOOPS.begin()
     before = Snapshot.taken()
     yield
     if before.has_less_than(Snapshot.taken()):
-        _let_go_of_logs(request.node)
-    names = settled(before, LOOPS.names())
+        _forget_logs(request.node)
+    names = remaining_leaks(before, LOOPS.names())
     freeze()
     if names:
         pytest.fail("left behind: " + "; ".join(names), pytrace=False)
 
 
-def _let_go_of_logs(item: pytest.Item) -> None:
+def _forget_logs(item: pytest.Item) -> None:
     """Drop the tracebacks that pytest keeps for its report; their texts are enough for it."""
     for records in item.stash.get(caplog_records_key, {}).values():
         for record in records:
@@ -260,7 +260,7 @@ def _let_go_of_logs(item: pytest.Item) -> None:
                 record.exc_info = None
 
 
-def settled(before: Snapshot, names: list[str]) -> list[str]:
+def remaining_leaks(before: Snapshot, names: list[str]) -> list[str]:
     """
     Collect garbage, and return the names of what is still there after a moment. `before`: what
     there was; `names`: of what event loops left.

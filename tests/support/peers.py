@@ -374,7 +374,7 @@ class FakeUnit(LinePeer):
 
 
 @contextlib.contextmanager
-def dead() -> Iterator[int]:
+def mute_port() -> Iterator[int]:
     """A port that answers nothing at all, as a dead host: its backlog is full."""
     with socket.socket() as listener, contextlib.ExitStack() as stack:
         listener.bind(("127.0.0.1", 0))

@@ -1,15 +1,15 @@
-"""What answers the requests of a `Talk`, whatever their framing."""
+"""What answers the requests of a `Driver`, whatever their framing."""
 
 import pytest
 
 from libmodbus_py import ModbusTimeoutError
 
-from .talk import LINE, TCP, Talk, kinds, rtu, tcp, value
+from .driver import LINE, TCP, Driver, kinds, rtu, tcp, value
 
 BOTH = pytest.mark.parametrize("url", [TCP, LINE])
 
 
-def answer(talk: Talk, at: int = -1) -> bytes:
+def answer(talk: Driver, at: int = -1) -> bytes:
     """Answer a request of a single register with its address."""
     adu = talk.sent[at]
     if talk.has_ids:
@@ -17,14 +17,14 @@ def answer(talk: Talk, at: int = -1) -> bytes:
     return value(int.from_bytes(adu[2:4], "big"), unit=adu[0])
 
 
-def answer_all(talk: Talk) -> None:
+def answer_all(talk: Driver) -> None:
     """Answer the last request, and what is sent then, until nothing is left."""
     while not talk.is_at_rest:
         talk.come(answer(talk))
 
 
 def exchange(
-    talk: Talk, address: int, result: int | None = None, unit: int = 1, after: float = 0.0
+    talk: Driver, address: int, result: int | None = None, unit: int = 1, after: float = 0.0
 ) -> None:
     """
     Ask for a register, and check that what is answered is the result at once. `result`: what is
@@ -37,25 +37,25 @@ def exchange(
     assert batch.outcomes == [[number]]
 
 
-def unanswered(talk: Talk, address: int = 1, unit: int = 1) -> None:
+def time_out(talk: Driver, address: int = 1, unit: int = 1) -> None:
     """Ask for a register, and check that the request fails when its time is over."""
     batch = talk.ask(address, unit=unit)
     talk.wait(talk.settings["timeout"])
     assert kinds(batch) == [ModbusTimeoutError]
 
 
-def reply(talk: Talk, body: str, at: int = -1) -> bytes:
+def reply(talk: Driver, body: str, at: int = -1) -> bytes:
     """Answer a request with a PDU."""
     adu = talk.sent[at]
     return tcp(adu, body) if talk.has_ids else rtu(f"{adu[0]:02X} {body}")
 
 
-def refusal(talk: Talk, code: int, at: int = -1) -> bytes:
+def refusal(talk: Driver, code: int, at: int = -1) -> bytes:
     """Refuse a read of holding registers."""
     return reply(talk, f"83 {code:02X}", at)
 
 
-def addresses(talk: Talk) -> list[int]:
+def addresses(talk: Driver) -> list[int]:
     """Return the addresses of the requests, in their order."""
     first = 8 if talk.has_ids else 2
     return [int.from_bytes(each[first : first + 2], "big") for each in talk.sent]

@@ -43,7 +43,7 @@ def serving(cells: Sequence[int], base: int = 40000) -> Generator[str]:
         yield running.urls[0]
 
 
-class Walked:
+class Walk:
     """
     A procedure that is carried out on registers in memory. `result`: its result; `requests`:
     address and count of each of its requests.
@@ -71,6 +71,6 @@ class Walked:
         return [cells[at] for at in addresses]
 
 
-def walked(steps: Generator[Any, Any, Any], cells: Iterable[int], base: int = 40000) -> Walked:
+def walk_through(steps: Generator[Any, Any, Any], cells: Iterable[int], base: int = 40000) -> Walk:
     """Carry out a procedure on registers from an address on."""
-    return Walked(steps, dict(enumerate(cells, base)))
+    return Walk(steps, dict(enumerate(cells, base)))

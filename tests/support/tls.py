@@ -15,7 +15,7 @@ import pytest
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.certificates import Identity
-from tests.simulation.stage import Stage, Talker
+from tests.simulation.lan import Lan, LanClient
 from tests.support import certificates
 from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_ONE, adu, connect
 from tests.support.certificates import Files, Pki
@@ -71,7 +71,7 @@ class TlsClient:
         context: ssl.SSLContext,
         session: ssl.SSLSession | None = None,
         source: str = "",
-        stage: Stage | None = None,
+        stage: Lan | None = None,
     ) -> None:
         self.socket: Any = (
             stage.talk(port, source or None) if stage else connect(port, source=source)
@@ -154,9 +154,7 @@ class TlsClient:
             self.socket.sendall(data)
 
 
-def connected(
-    stage: Stage, pki: Pki, port: int, version: ssl.TLSVersion | None = None
-) -> TlsClient:
+def connected(stage: Lan, pki: Pki, port: int, version: ssl.TLSVersion | None = None) -> TlsClient:
     """Return a client on the stage that the server trusts, after the handshake."""
     context_ = context(pki, certificates.client(), version)
     return TlsClient(port, context_, stage=stage).handshake()
@@ -164,7 +162,7 @@ def connected(
 
 @contextlib.contextmanager
 def talking(
-    stage: Stage,
+    stage: Lan,
     pki: Pki,
     device: Device | None = None,
     version: ssl.TLSVersion | None = None,
@@ -187,7 +185,7 @@ def hello(pki: Pki) -> bytes:
     return outgoing.read()
 
 
-def is_served(pki: Pki, port: int, stage: Stage | None = None) -> bool:
+def is_served(pki: Pki, port: int, stage: Lan | None = None) -> bool:
     context_ = context(pki, certificates.client())
     with TlsClient(port, context_, stage=stage).handshake() as client:
         return client.is_answered()
@@ -205,7 +203,7 @@ def nothing_loud(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
     assert len(loud) <= 20
 
 
-def reset(connection: socket.socket | Talker) -> None:
+def reset(connection: socket.socket | LanClient) -> None:
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     connection.close()
 
@@ -219,7 +217,7 @@ def wait_until(is_so: Callable[[], bool]) -> bool:
     return True
 
 
-def closed(connection: socket.socket | Talker) -> bytes:
+def closed(connection: socket.socket | LanClient) -> bytes:
     """Return what still comes until the server closes; a reset is a close, too."""
     data = b""
     with contextlib.suppress(ConnectionError):

@@ -12,7 +12,7 @@ import pytest
 from libmodbus_py import Client, Device, Fault, Mapping, Server, load_map, sunspec
 from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.support.cases import each_case
-from tests.support.commands import Done, Started, run
+from tests.support.commands import Result, Started, run
 from tests.support.peers import FakeServer, mbap, until
 from tests.support.sunspec import file_device
 from tests.support.sunspec import serving as sunspec_device
@@ -20,7 +20,7 @@ from tests.support.sunspec import serving as sunspec_device
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
-def mapped(*arguments: object, code: int = 0) -> Done:
+def mapped(*arguments: object, code: int = 0) -> Result:
     result = run("map", *arguments)
     assert result.code == code, result.err
     return result

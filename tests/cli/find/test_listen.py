@@ -14,14 +14,14 @@ import pytest
 from libmodbus_py import Client, Device, IllegalDataAddress, Mapping, ModbusTimeoutError, Server
 from libmodbus_py.tools.listener.listener import Listener
 from libmodbus_py.tools.listener.transaction import Transaction
-from tests.support.commands import Done, Started, on_terminal, run
+from tests.support.commands import Result, Started, on_terminal, run
 from tests.support.golden import Golden
 from tests.support.peers import until
 
 DECODED = Path(__file__).parents[2] / "tools" / "listener" / "decoded.pcapng"
 
 
-def listen(*arguments: object) -> Done:
+def listen(*arguments: object) -> Result:
     return run("listen", *arguments)
 
 

@@ -18,8 +18,8 @@ from libmodbus_py.services.engine.connection import EngineGone
 from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.cli.serving import FLEET_OF_ONE
 from tests.support.cases import each_case
-from tests.support.commands import Started, ended, on_terminal, run
-from tests.support.peers import dead
+from tests.support.commands import Started, on_terminal, run, run_forked
+from tests.support.peers import mute_port
 
 LONGEST = 30
 
@@ -63,7 +63,7 @@ def started(*arguments: object) -> Started:
 def test_once_to_several_outputs(fleet: Path) -> None:
     a, b, c = (fleet.with_name(name) for name in ("a.csv", "b.csv", "c.jsonl"))
     options = ["--csv", a, "--json", c, "--csv", b, "--json"]  # which may be repeated
-    result = ended("poll", fleet, "--once", *options)
+    result = run_forked("poll", fleet, "--once", *options)
     rows = [json.loads(line) for line in result.out.splitlines()]
     assert sorted(c.read_text().splitlines()) == sorted(result.out.splitlines())
     assert sorted(a.read_text().splitlines()) == sorted(b.read_text().splitlines())
@@ -137,7 +137,7 @@ def test_a_signal_while_all_wait_ends_it(tmp_path: Path) -> None:
     """For answers and for a connection, a minute each."""
     (tmp_path / "meter.csv").write_text(METER)
     path = tmp_path / "fleet.toml"
-    with dead() as port, socket.create_server(("127.0.0.1", 0)) as silent:
+    with mute_port() as port, socket.create_server(("127.0.0.1", 0)) as silent:
         path.write_text(
             "[defaults]\nmap = 'meter.csv'\ninterval = 0.1\n"
             f"[[device]]\nname = 'a'\nurl = 'tcp://127.0.0.1:{port}?timeout=60'\n"
@@ -206,7 +206,7 @@ def test_each_reason_to_wait_for_the_engine_is_logged_once(monkeypatch, caplog) 
 @pytest.mark.parametrize("form", ["--json", "--csv"])
 def test_a_full_disk_is_one_line(fleet: Path, form: str) -> None:
     with open("/dev/full", "w") as full:
-        result = ended("poll", fleet, form, stdout=full.fileno())
+        result = run_forked("poll", fleet, form, stdout=full.fileno())
     assert result.code == 1
     assert result.err == "libmodbus-py: standard output: No space left on device\n"
 
@@ -276,7 +276,7 @@ def test_a_journal_is_told_of_at_the_end_and_used_by_one_program(fleet: Path) ->
     summary = r"^journal: \d+ written, 0 dropped, 0\.\d MB$"
     assert re.search(summary, err, re.MULTILINE), err
     # The standard output has the readings of this run only.
-    code, out, _ = ended("poll", file, "--once", "--json")
+    code, out, _ = run_forked("poll", file, "--once", "--json")
     assert code == 1  # one device does not answer
     assert out.count('"voltage"') == 3
 
@@ -293,7 +293,9 @@ def test_an_output_that_takes_nothing_is_named(tmp_path_factory, journal, path, 
     folder = tmp_path_factory.mktemp("once")
     with ServerMaker() as maker:
         (folder / "fleet.toml").write_text(journal + FLEET_OF_ONE.format(url=maker().url))
-        result = ended("poll", folder / "fleet.toml", "--once", f"--json={folder / path}", "--csv")
+        result = run_forked(
+            "poll", folder / "fleet.toml", "--once", f"--json={folder / path}", "--csv"
+        )
     assert result.code == bool(message)
     assert message in result.err
     assert bool(result.err) == bool(message)

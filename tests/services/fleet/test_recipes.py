@@ -27,7 +27,7 @@ from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.cli.commands import parsed
 from tests.services.fleet.fleets import LONGEST, until
 from tests.services.fleet.outputs.influxdb import Database
-from tests.support.commands import Started, ended
+from tests.support.commands import Started, run_forked
 from tests.support.programs import HeldPort, listens, missing, program
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def test_the_query_of_grafana_finds_a_line_for_each_device_in_influxdb(plant: Pa
         (create,) = re.findall(r"'q=(.*?)'", block(section, "sh"))
         database.ask(create)
         add(plant, block(section, "toml").replace("http://127.0.0.1:8086", database.url))
-        assert ended("poll", plant, "--once").code == 0
+        assert run_forked("poll", plant, "--once").code == 0
         # What Grafana puts in place of its variables.
         query = block(section, "sql").replace("$timeFilter", "time > now() - 1h")
         (row,) = database.ask(query.replace("$__interval", "1h"))

@@ -15,11 +15,11 @@ from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.services.gateway.line import NO_ANSWER, Forwarded, GatewayLine, request_of
 from libmodbus_py.services.gateway.routes import GatewayOptions
 from libmodbus_py.services.gateway.statistics import LineStatistics
-from tests.simulation.given import giving
+from tests.simulation.lan import Lan
 from tests.simulation.network import Network
+from tests.simulation.runner import runner_of
 from tests.simulation.scripted import Scripted, Write
-from tests.simulation.stage import Stage
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 
 READ_ONE = bytes.fromhex("03 0000 0001")
 
@@ -38,7 +38,7 @@ def small() -> Device:
 class Gate:
     """Unit 1 on the line behind a gateway, which answers from when it is opened on."""
 
-    def __init__(self, stage: Stage) -> None:
+    def __init__(self, stage: Lan) -> None:
         self.asked: list[int] = []
         self.kinds: list[str] = []
         self._device = Device(Mapping(10, 10, 10, 10))
@@ -68,7 +68,7 @@ class Gate:
 
 
 @contextlib.contextmanager
-def gated(stage: Stage, route: dict[str, Any] | None = None, **options: Any) -> Iterator[Gated]:
+def gated(stage: Lan, route: dict[str, Any] | None = None, **options: Any) -> Iterator[Gated]:
     """A gateway before a gate, with its line and where clients find it."""
     gate = Gate(stage)
     routes = [Route(f"{LINE}?timeout=1000", **(route or {}))]
@@ -196,7 +196,7 @@ def on_line(*urls: str, **options: Any) -> Callable[[Any], Any]:
         plant = Plant(*urls, **options)
         plant.run(lambda: test(plant))
 
-    return giving(run)
+    return runner_of(run)
 
 
 def answer_of(unit: int, number: int) -> str:

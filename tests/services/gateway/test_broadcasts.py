@@ -15,14 +15,14 @@ from libmodbus_py import (
     Server,
 )
 from tests.services.gateway.gates import LINE, gateway, small
+from tests.simulation.lan import Lan
 from tests.simulation.scripted import Scripted
-from tests.simulation.stage import Stage
 from tests.support.gateways import passage
 from tests.support.peers import until
 
 
 @pytest.mark.parametrize("front", ["tcp", "udp", "rtu+tcp"])
-def test_a_broadcast_reaches_every_unit_of_every_line(stage: Stage, front: str) -> None:
+def test_a_broadcast_reaches_every_unit_of_every_line(stage: Lan, front: str) -> None:
     devices = [small() for _ in range(4)]
     first, second = "rtu:///dev/first", "ascii:///dev/second"
     with (
@@ -44,7 +44,7 @@ def test_a_broadcast_reaches_every_unit_of_every_line(stage: Stage, front: str) 
 
 
 @pytest.mark.parametrize("is_there", [True, False])
-def test_a_broadcast_that_a_line_did_not_take_is_not_reported_done(stage: Stage, is_there) -> None:
+def test_a_broadcast_that_a_line_did_not_take_is_not_reported_done(stage: Lan, is_there) -> None:
     if not is_there:
         stage.unreachable.add("10.0.0.9")
     with (
@@ -56,7 +56,7 @@ def test_a_broadcast_that_a_line_did_not_take_is_not_reported_done(stage: Stage,
     assert (stage.now >= 1300) == (not is_there)
 
 
-def test_a_broadcast_is_done_when_all_lines_have_sent_it(stage: Stage) -> None:
+def test_a_broadcast_is_done_when_all_lines_have_sent_it(stage: Lan) -> None:
     """One sends it at once; the other, a server that takes unit 0 for one, never answers."""
     device = small()
     mute = Scripted(stage, "tcp://10.0.0.9:0", lambda request, write: None)
@@ -77,7 +77,7 @@ def test_a_broadcast_is_done_when_all_lines_have_sent_it(stage: Stage) -> None:
         assert device.mapping.holding_registers[0] == 2
 
 
-def test_unit_0_of_a_line_may_have_a_route(stage: Stage) -> None:
+def test_unit_0_of_a_line_may_have_a_route(stage: Lan) -> None:
     device = small()
     with (
         passage(
@@ -92,7 +92,7 @@ def test_unit_0_of_a_line_may_have_a_route(stage: Stage) -> None:
                 context.for_unit(unit).read_holding_registers(0, 1)
 
 
-def test_the_rules_of_all_routes_of_a_line_hold_for_a_broadcast(stage: Stage) -> None:
+def test_the_rules_of_all_routes_of_a_line_hold_for_a_broadcast(stage: Lan) -> None:
     """It reaches the units of all of them, also of routes that come before on the same line."""
     devices = [small(), small()]
     routes = [Route(LINE, "1", read_only=True), Route(LINE, "2")]
@@ -109,7 +109,7 @@ def test_the_rules_of_all_routes_of_a_line_hold_for_a_broadcast(stage: Stage) ->
             assert gateway_.traffic.broadcasts == 0
 
 
-def test_a_broadcast_does_not_go_back_to_the_machine_that_sent_it(stage: Stage) -> None:
+def test_a_broadcast_does_not_go_back_to_the_machine_that_sent_it(stage: Lan) -> None:
     """Two gateways that lead to each other would send it for ever."""
     device = small()
     writes: list[bytes] = []
@@ -139,7 +139,7 @@ def circle(line: str, *starts: str) -> Iterator[tuple[Gateway, Gateway, str]]:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu+tcp"])
-def test_nothing_goes_round_between_gateways_that_lead_to_each_other(stage: Stage, scheme) -> None:
+def test_nothing_goes_round_between_gateways_that_lead_to_each_other(stage: Lan, scheme) -> None:
     device, start = small(), f"{scheme}://127.0.0.1:0"
     with (
         Server({1: device}).background(LINE),
@@ -181,7 +181,7 @@ def test_a_broadcast_does_not_go_round_between_gateways_of_one_process_on_unix_s
         assert (first.traffic.broadcasts, second.traffic.broadcasts) == (1, 1)
 
 
-def test_a_broadcast_may_be_repeated_by_its_client_and_by_others_after_a_second(stage: Stage):
+def test_a_broadcast_may_be_repeated_by_its_client_and_by_others_after_a_second(stage: Lan):
     write = bytes.fromhex("0007 0000 0006 00 06 0000 0007")
     busy = bytes.fromhex("0007 0000 0003 00 86 06")
     other_write = write[:-1] + b"\x08"

@@ -9,9 +9,9 @@ import pytest
 from libmodbus_py import Gateway, IllegalDataAddress, Route
 from libmodbus_py.serve import Asked
 from tests.services.gateway.gates import LINE, adu
+from tests.simulation.lan import Lan
 from tests.simulation.scripted import Scripted, Write
-from tests.simulation.stage import Stage
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 
 READ, WRITE = "03 0000 0001", "06 0001 0007"
 
@@ -160,7 +160,7 @@ def answer(request: bytes, write: Write) -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_each_request_counts_once(stage: Stage, name, caplog) -> None:
+def test_each_request_counts_once(stage: Lan, name, caplog) -> None:
     case = CASES[name]
     Scripted(stage, LINE, answer)
     options = {**case.options}

@@ -9,13 +9,13 @@ from libmodbus_py import Client, Fault, Gateway, GatewayPathUnavailable, Route, 
 from libmodbus_py.framing import Framing, make_framer
 from libmodbus_py.protocol.framing import Frame
 from tests.services.gateway.gates import LINE, READ_ONE, adu, gated, gateway, numbered, small
-from tests.simulation.given import simulated
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
+from tests.simulation.runner import simulated
 
 ONE, SEVEN = bytes.fromhex("03 02 0000"), bytes.fromhex("03 02 0007")
 
 
-def test_routes_change_and_connections_stay(stage: Stage) -> None:
+def test_routes_change_and_connections_stay(stage: Lan) -> None:
     stage.missing.add("/dev/nowhere")
     with (
         Server({n: numbered(n) for n in (1, 2)}).background("tcp://10.0.0.9:0") as one,
@@ -51,7 +51,7 @@ def test_routes_change_and_connections_stay(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("stays", [True, False])
-def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(stage: Stage, stays):
+def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(stage: Lan, stays):
     """A line stays if its URL does, whatever else of its routes changes."""
     with (
         gated(stage) as (gate, _, url, gateway_),
@@ -97,7 +97,7 @@ def test_requests_of_a_client_that_sends_no_more_are_answered(scheme: str) -> No
         assert answers == b"".join(framer.encode(write) for write in writes)
 
 
-def test_closing_it_in_the_middle_leaves_nothing(stage: Stage) -> None:
+def test_closing_it_in_the_middle_leaves_nothing(stage: Lan) -> None:
     """The stage fails the test for a task or an exception that is left."""
     slow = {1: [Fault("delay", seconds=500)]}
     server = Server({1: small()}, faults=slow)

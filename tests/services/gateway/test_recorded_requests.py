@@ -22,7 +22,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.serve import Allow, Asked
 from tests.services.gateway.gates import READ_ONE, adu, gated, small
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.events import Events
 from tests.support.gateways import passage
 
@@ -35,7 +35,7 @@ def events() -> Events:
 
 
 @contextlib.contextmanager
-def recorded(stage: Stage, events: Events, **options: Any) -> Iterator[Client]:
+def recorded(stage: Lan, events: Events, **options: Any) -> Iterator[Client]:
     """Return a client of unit 1 behind a gateway, which appends what it records to `events`."""
     with (
         passage(
@@ -56,7 +56,7 @@ def told(events: Events) -> list[tuple[str, int | None, int | None, str]]:
     return [(each.event, each.unit, each.function, each.result) for each in events]
 
 
-def test_a_write_is_recorded_with_its_outcome(stage: Stage, events: Events) -> None:
+def test_a_write_is_recorded_with_its_outcome(stage: Lan, events: Events) -> None:
     with recorded(stage, events) as context:
         context.write_register(0, 5)
         with pytest.raises(GatewayTargetFailedToRespond):
@@ -74,7 +74,7 @@ def test_a_write_is_recorded_with_its_outcome(stage: Stage, events: Events) -> N
     ]
 
 
-def test_reads_are_recorded_that_a_rule_refuses_and_no_others(stage: Stage, events: Events) -> None:
+def test_reads_are_recorded_that_a_rule_refuses_and_no_others(stage: Lan, events: Events) -> None:
     rules = Rules({None: Allow(read=[Access("holding_registers", 0, 100)])})
     with recorded(stage, events, authorize=rules) as context:
         context.read_holding_registers(0, 1)
@@ -92,7 +92,7 @@ def test_reads_are_recorded_that_a_rule_refuses_and_no_others(stage: Stage, even
 
 
 def test_an_authorize_that_raises_is_recorded_and_answers_like_it_are_not(
-    stage: Stage, events: Events
+    stage: Lan, events: Events
 ) -> None:
     def authorize(request: Asked) -> bool:
         if request.function == 1:
@@ -117,7 +117,7 @@ def test_an_authorize_that_raises_is_recorded_and_answers_like_it_are_not(
     ]
 
 
-def test_a_write_whose_client_is_gone_is_recorded_once(stage: Stage, events: Events) -> None:
+def test_a_write_whose_client_is_gone_is_recorded_once(stage: Lan, events: Events) -> None:
     """While it waits, and after it was sent."""
     with (
         gated(stage, audit=events.append) as (gate, _, url, _),
@@ -139,7 +139,7 @@ def test_a_write_whose_client_is_gone_is_recorded_once(stage: Stage, events: Eve
     assert gate.kinds == ["write"]
 
 
-def test_a_client_that_is_gone_has_its_broadcast_recorded_once(stage: Stage, events: Events):
+def test_a_client_that_is_gone_has_its_broadcast_recorded_once(stage: Lan, events: Events):
     with gated(stage, audit=events.append) as (gate, _, url, _):
         with stage.talk(url) as other, stage.talk(url) as client:
             other.sendall(adu(READ_ONE))

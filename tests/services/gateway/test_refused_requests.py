@@ -12,13 +12,13 @@ from libmodbus_py import (
 )
 from libmodbus_py.services.gateway.line import request_of
 from tests.services.gateway.gates import READ_ONE, adu, small
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.cases import each_case
 from tests.support.gateways import passage
 from tests.support.interop import UNIT, make_device
 
 
-def test_read_only_is_read_only(stage: Stage) -> None:
+def test_read_only_is_read_only(stage: Lan) -> None:
     device = make_device()
     with (
         passage("tcp", "rtu", {UNIT: device}, route={"read_only": True}, stage=stage) as through,
@@ -47,7 +47,7 @@ def test_read_only_is_read_only(stage: Stage) -> None:
         assert through.gateway.traffic.refused == 11
 
 
-def test_only_writes_that_a_rule_allows_are_executed(stage: Stage) -> None:
+def test_only_writes_that_a_rule_allows_are_executed(stage: Lan) -> None:
     route = {"writable": ["coils", Access("holding_registers", 110, 10)]}
     with passage("tcp", "rtu", route=route, stage=stage) as through, through.context() as context:
         context.write_coil(10, False)
@@ -61,7 +61,7 @@ def test_only_writes_that_a_rule_allows_are_executed(stage: Stage) -> None:
         assert context.read_holding_registers(109, 3) == [1109, 0, 1]
 
 
-def test_a_cached_answer_is_refused_to_those_who_may_not_read_it(stage: Stage) -> None:
+def test_a_cached_answer_is_refused_to_those_who_may_not_read_it(stage: Lan) -> None:
     with (
         passage(
             "tcp",

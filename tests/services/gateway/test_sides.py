@@ -17,7 +17,7 @@ from libmodbus_py import (
     pdu,
 )
 from tests.services.gateway.gates import small
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.certificates import Pki
 from tests.support.gateways import passage
 from tests.support.interop import check_all
@@ -27,7 +27,7 @@ SIDES = [(front, back) for front in FRONTS for back in FRONTS]
 
 
 @pytest.mark.parametrize(("front", "back"), SIDES, ids=["-".join(sides) for sides in SIDES])
-def test_any_function_goes_from_any_side_to_any(stage: Stage, front: str, back: str) -> None:
+def test_any_function_goes_from_any_side_to_any(stage: Lan, front: str, back: str) -> None:
     with passage(front, back, stage=stage) as through, through.context() as context:
         every_function(context)
 
@@ -55,7 +55,7 @@ def every_function(context: Client) -> None:
         context.execute(pdu.EncapsulatedTransport(13, b"abc"))
 
 
-def test_functions_that_nobody_knows_go_through_as_bytes(stage: Stage) -> None:
+def test_functions_that_nobody_knows_go_through_as_bytes(stage: Lan) -> None:
     """On a line between, their ends are found by the CRC."""
 
     @pdu.register

@@ -19,8 +19,8 @@ from libmodbus_py import (
 )
 from libmodbus_py.services.gateway.silent_units import SilentUnits, UnitState
 from tests.services.gateway.gates import LINE, adu, gateway, small
+from tests.simulation.lan import Lan
 from tests.simulation.scripted import Scripted, Write
-from tests.simulation.stage import Stage
 from tests.support.cases import each_case
 from tests.support.gateways import passage
 
@@ -32,7 +32,7 @@ def value(unit: int, address: int) -> int:
     return (unit * 10_000 + address) & 0xFFFF
 
 
-def test_late_answers_are_never_anybody_elses(stage: Stage) -> None:
+def test_late_answers_are_never_anybody_elses(stage: Lan) -> None:
     """A unit whose every third answer comes after its timeout, and good ones beside it."""
     framer = framing.make_framer("rtu", "server")
     counts: Counter[int] = Counter()
@@ -75,7 +75,7 @@ def test_late_answers_are_never_anybody_elses(stage: Stage) -> None:
 
 
 def test_a_client_without_ids_that_asks_again_gets_the_answer_to_the_second_request_only(
-    stage: Stage,
+    stage: Lan,
 ) -> None:
     """It has given up the first request: the answer to that would be taken for the second's."""
     device = small()

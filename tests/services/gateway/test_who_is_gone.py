@@ -21,9 +21,9 @@ from tests.services.gateway.gates import (
     gateway,
     on_line,
 )
+from tests.simulation.lan import Lan
 from tests.simulation.scripted import Scripted
-from tests.simulation.stage import Stage
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 
 STREAMS = ["tcp://10.0.0.1", "tls://10.0.0.1", "rtu+tcp://10.0.0.1"]
 
@@ -101,7 +101,7 @@ def test_a_trial_that_waits_for_the_connection_is_not_sent(url: str) -> None:
 
 
 @pytest.mark.parametrize(("scheme", "is_sent"), [("tcp", False), ("rtu+tcp", True)])
-def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(stage: Stage, scheme, is_sent):
+def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(stage: Lan, scheme, is_sent):
     """On a serial line nobody waits for a broadcast."""
     peer = Scripted(stage, LINE, lambda request, write: None)
     route = Route(f"{LINE}?connect_delay={CONNECT_DELAY}")

@@ -15,7 +15,7 @@ import pytest
 
 from libmodbus_py.protocol.framing import Frame, make_framer
 from tests.support import peers as fake
-from tests.support.peers import FakeServer, FakeUnit, LinePeer, dead
+from tests.support.peers import FakeServer, FakeUnit, LinePeer, mute_port
 from tests.support.scripted import Scripted, Write, answer, echo, ignore, run
 
 theirs: Any = pytest.importorskip(
@@ -238,7 +238,7 @@ def test_closing_while_it_connects() -> None:
         with pytest.raises(theirs.ClientClosedError, match=r"^read_holding_registers\(7, 1\): "):
             await read(connection)
 
-    with dead() as port:
+    with mute_port() as port:
         run(go())
 
 

@@ -17,7 +17,7 @@ from libmodbus_py.services.workers import messages
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.workers.trial import INTERVAL, LEASE, Trial, tried
 from tests.simulation.engine import EngineClient
-from tests.simulation.given import giving
+from tests.simulation.runner import runner_of
 from tests.simulation.workers import push_fleet
 
 INBOX = "_INBOX.u9ii73oAyVwgjXVUkC6cqN"
@@ -87,7 +87,7 @@ def commanded(connections: int = 2) -> Callable[[Any], Any]:
 
         trial.run(whole)
 
-    return giving(run)
+    return runner_of(run)
 
 
 def no_worker(device: str) -> dict[str, Any]:

@@ -13,8 +13,8 @@ from libmodbus_py.ports.trace import Traced
 from libmodbus_py.services.fleet.outputs.output import Output
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.simulation.engine import Engine
-from tests.simulation.given import giving
 from tests.simulation.network import Network
+from tests.simulation.runner import runner_of
 from tests.simulation.workers import SimulatedWorker, push_fleet
 
 LEASE = 2.0
@@ -29,7 +29,7 @@ MAP = RegisterMap(
 )
 
 
-class Asked:
+class PollLog:
     """
     Who asked which device when. A worker has one connection to a place, and another one when it
     gets that place again; unless the engine forgot that it ever lost it, and then its lease was
@@ -111,7 +111,7 @@ class Trial:
     ) -> None:
         self.network = network or Network(seed)
         self.engine = Engine(self.network)
-        self.asked = Asked(lambda: self.now)
+        self.asked = PollLog(lambda: self.now)
         self.settings = settings or FleetSettings(LEASE)
         self.places = [f"tcp://10.0.2.{at + 1}:502" for at in range(connections)]
         self.units, self.interval = units, interval
@@ -229,4 +229,4 @@ def tried(connections: int, *workers: str, **options: Any) -> Callable[[Any], An
 
         trial.run(settled)
 
-    return giving(run)
+    return runner_of(run)

@@ -13,7 +13,7 @@ from libmodbus_py import (
     ServerDeviceBusy,
 )
 from libmodbus_py.tools.faults.fault import Fault
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.tools.faults.serving import client_of, serving
 
 SEEN: dict[str, tuple[Fault, type[Exception]]] = {
@@ -49,7 +49,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("scheme", "name"), CASES)
-def test_a_client_sees_the_fault_and_the_next_request_succeeds(stage: Stage, scheme, name) -> None:
+def test_a_client_sees_the_fault_and_the_next_request_succeeds(stage: Lan, scheme, name) -> None:
     fault, error = SEEN[name]
     if scheme in ("rtu", "ascii"):
         error = ON_LINES.get(name, error)
@@ -68,7 +68,7 @@ def test_a_client_sees_the_fault_and_the_next_request_succeeds(stage: Stage, sch
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu", "ascii"])
-def test_a_client_with_a_long_timeout_gets_late_and_slow_answers(stage: Stage, scheme: str) -> None:
+def test_a_client_with_a_long_timeout_gets_late_and_slow_answers(stage: Lan, scheme: str) -> None:
     faults = [Fault("delay", function=3, seconds=50), Fault("trickle", seconds=0.5)]
     with serving(stage, scheme, *faults) as url, client_of(url) as client:
         assert client.read_holding_registers(0, 3) == [555, 0, 100]

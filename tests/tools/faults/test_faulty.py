@@ -21,11 +21,11 @@ from libmodbus_py import (
 from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.server.faults import Faults
 from libmodbus_py.tools.faults.fault import KINDS, Fault
-from tests.simulation.stage import Stage
-from tests.tools.faults.serving import FOREVER, READ, REQUEST, adu, client_of, made_device, serving
+from tests.simulation.lan import Lan
+from tests.tools.faults.serving import FOREVER, READ, REQUEST, adu, client_of, make_device, serving
 
 
-def test_a_range_that_fails_leaves_the_rest_of_the_device_alone(stage: Stage) -> None:
+def test_a_range_that_fails_leaves_the_rest_of_the_device_alone(stage: Lan) -> None:
     bad = Fault("exception", code=4, table="holding_registers", address=2)
     with serving(stage, "tcp", bad) as url, client_of(url) as client:
         assert client.read_holding_registers(0, 2) == [555, 0]
@@ -35,8 +35,8 @@ def test_a_range_that_fails_leaves_the_rest_of_the_device_alone(stage: Stage) ->
         assert client.read_coils(2, 1) == [False]
 
 
-def test_units_without_faults_are_answered_in_c(stage: Stage, monkeypatch) -> None:
-    units = {1: made_device(), 2: made_device()}
+def test_units_without_faults_are_answered_in_c(stage: Lan, monkeypatch) -> None:
+    units = {1: make_device(), 2: make_device()}
     for device in units.values():
         monkeypatch.setattr(device, "_respond", lambda *_: pytest.fail("not in C"))
     fault = Fault("exception", code=6)
@@ -46,7 +46,7 @@ def test_units_without_faults_are_answered_in_c(stage: Stage, monkeypatch) -> No
             client.for_unit(2).read_coils(0, 1)
 
 
-def test_an_answer_in_c_waits_behind_one_that_a_fault_delays(stage: Stage) -> None:
+def test_an_answer_in_c_waits_behind_one_that_a_fault_delays(stage: Lan) -> None:
     fault = Fault("delay", seconds=100)
     with serving(stage, "tcp", fault, of=2) as url, stage.talk(url) as connection:
         coil = b"\x01\0\0\0\x01"
@@ -68,7 +68,7 @@ def test_the_first_fault_that_is_due_happens_and_all_count() -> None:
     assert other.kind == "exception"
 
 
-def test_faults_of_all_units_also_hit_units_that_do_not_exist(stage: Stage) -> None:
+def test_faults_of_all_units_also_hit_units_that_do_not_exist(stage: Lan) -> None:
     fault = Fault("exception", code=10, every=2)
     with serving(stage, "tcp", fault, of=None) as url, client_of(url, unit=99) as client:
         with pytest.raises(GatewayTargetFailedToRespond):
@@ -77,7 +77,7 @@ def test_faults_of_all_units_also_hit_units_that_do_not_exist(stage: Stage) -> N
             client.read_coils(0, 1)
 
 
-def test_on_serial_lines_what_nobody_answers_is_not_counted(stage: Stage) -> None:
+def test_on_serial_lines_what_nobody_answers_is_not_counted(stage: Lan) -> None:
     fault = Fault("exception", code=6, every=2)
     with serving(stage, "rtu", fault, of=None) as url, client_of(url, timeout=2) as client:
         client.for_unit(0).write_register(0, 7)
@@ -88,7 +88,7 @@ def test_on_serial_lines_what_nobody_answers_is_not_counted(stage: Stage) -> Non
             client.read_holding_registers(0, 1)
 
 
-def test_a_device_in_listen_only_mode_stays_silent(stage: Stage) -> None:
+def test_a_device_in_listen_only_mode_stays_silent(stage: Lan) -> None:
     fault = Fault("exception", code=6, function=3)
     with serving(stage, "rtu", fault, of=None) as url, client_of(url) as client:
         client.diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY)
@@ -96,11 +96,11 @@ def test_a_device_in_listen_only_mode_stays_silent(stage: Stage) -> None:
             client.read_holding_registers(0, 1)
 
 
-def test_a_refused_write_is_not_executed_and_all_others_are(stage: Stage) -> None:
+def test_a_refused_write_is_not_executed_and_all_others_are(stage: Lan) -> None:
     for kind in KINDS:
         if kind in ("delay", "trickle"):
             continue
-        device = made_device()
+        device = make_device()
         settings: dict[str, Any] = {"code": 6} if kind == "exception" else {}
         settings |= {"length": 3} if kind in ("truncate", "garbage") else {}
         fault = Fault(kind, **settings)
@@ -115,7 +115,7 @@ def test_a_refused_write_is_not_executed_and_all_others_are(stage: Stage) -> Non
 
 
 @pytest.mark.parametrize("transport", ["rtu", "tcp"])
-def test_counters_know_the_refusals_of_a_fault(stage: Stage, transport: str) -> None:
+def test_counters_know_the_refusals_of_a_fault(stage: Lan, transport: str) -> None:
     fault = Fault("exception", code=6, function=3)
     with serving(stage, transport, fault) as url, client_of(url, timeout=2) as client:
         for _ in range(3):
@@ -128,7 +128,7 @@ def test_counters_know_the_refusals_of_a_fault(stage: Stage, transport: str) -> 
         assert read(pdu.SubFunction.SERVER_MESSAGE_COUNT) == 7
 
 
-def test_a_reserved_function_gets_no_answer_and_no_fault(stage: Stage) -> None:
+def test_a_reserved_function_gets_no_answer_and_no_fault(stage: Lan) -> None:
     fault = Fault("exception", code=6)
     with serving(stage, "tcp", fault, of=None) as url, stage.talk(url) as connection:
         connection.sendall(adu(b"\x83\x01", 1) + adu(READ, 2))
@@ -139,7 +139,7 @@ def test_a_reserved_function_gets_no_answer_and_no_fault(stage: Stage) -> None:
     "fault", [Fault("delay", seconds=FOREVER), Fault("trickle", seconds=FOREVER)]
 )
 @pytest.mark.parametrize("unit", [1, 2])
-def test_others_are_answered_while_the_fault_lasts(stage: Stage, fault: Fault, unit: int) -> None:
+def test_others_are_answered_while_the_fault_lasts(stage: Lan, fault: Fault, unit: int) -> None:
     # The other client asks another unit, or the same one by another function.
     only = Fault(fault.kind, function=3, seconds=fault.seconds)
     with serving(stage, "tcp", only) as url, stage.talk(url) as slow:
@@ -154,8 +154,8 @@ def test_others_are_answered_while_the_fault_lasts(stage: Stage, fault: Fault, u
 
 
 @pytest.mark.parametrize("change", ["switched_off", "turned_off", "replaced"])
-def test_a_fault_that_ends_while_a_request_is_out_holds_for_that_request_only(stage: Stage, change):
-    server = Server({1: made_device()})
+def test_a_fault_that_ends_while_a_request_is_out_holds_for_that_request_only(stage: Lan, change):
+    server = Server({1: make_device()})
     with server.background("tcp://10.0.0.1:0") as running, stage.talk(running.urls[0]) as slow:
         switched = server.fault_switch.switch_on(Fault("delay", seconds=5))
         slow.sendall(adu(READ, 1))
@@ -165,7 +165,7 @@ def test_a_fault_that_ends_while_a_request_is_out_holds_for_that_request_only(st
         elif change == "turned_off":
             server.fault_switch.turn(switched.states[0], is_on=False)
         else:
-            server.replace({1: made_device()})
+            server.replace({1: make_device()})
             switched.switch_off()
         start = stage.now
         with client_of(running.urls[0]) as other:
@@ -179,7 +179,7 @@ def test_a_fault_that_ends_while_a_request_is_out_holds_for_that_request_only(st
         assert stage.now - start < 4.5
 
 
-def test_a_server_stops_while_answers_wait(stage: Stage) -> None:
+def test_a_server_stops_while_answers_wait(stage: Lan) -> None:
     fault = Fault("delay", seconds=FOREVER)
     with serving(stage, "tcp", fault, of=None) as url:
         clients = [stage.talk(url) for _ in range(5)]
@@ -196,7 +196,7 @@ def test_a_server_stops_while_answers_wait(stage: Stage) -> None:
     assert stage.now - start < 0.01
 
 
-def test_a_client_that_leaves_costs_its_answers_only(stage: Stage) -> None:
+def test_a_client_that_leaves_costs_its_answers_only(stage: Lan) -> None:
     with serving(stage, "tcp", Fault("delay", function=3, seconds=50)) as url:
         for _ in range(10):
             with stage.talk(url) as connection:

@@ -28,9 +28,9 @@ from libmodbus_py import (
 from libmodbus_py.listen import Listener, Transaction, listen
 from libmodbus_py.tools.listener.sources import Tap
 from libmodbus_py.tools.testing.wires import SerialWire, WireBytes, open_line, write_all
+from tests.support.driver import rtu
 from tests.support.golden import Refused
 from tests.support.peers import until
-from tests.support.talk import rtu
 
 UNIT = 17
 

@@ -4,7 +4,7 @@ from libmodbus_py import Point, RegisterMap
 from libmodbus_py.listen import MapDecoder, Separator, Transaction
 from libmodbus_py.tools.listener.named import LearnedMap
 from tests.support.cases import each_case
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 
 POINTS = RegisterMap(
     [

@@ -16,8 +16,8 @@ from libmodbus_py import pdu
 from libmodbus_py.listen import Separator, Transaction
 from libmodbus_py.tools.listener.transaction import Heard, Kind
 from tests.support.cases import each_case
+from tests.support.driver import ascii_frame, rtu
 from tests.support.framing import NO_REQUESTS
-from tests.support.talk import ascii_frame, rtu
 from tests.support.vectors import exchanges
 
 ASK = rtu("01 03 00 00 00 02")

@@ -14,7 +14,7 @@ from libmodbus_py.ports.trace import Traced
 from libmodbus_py.tools.listener.pairing import MOST, MOST_CONNECTIONS, TIMEOUT, TracePairing
 from libmodbus_py.tools.listener.transaction import Transaction
 from tests.support.cases import each_case
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 
 TCP, LINE = "tcp://127.0.0.1:502", "rtu:///dev/ttyUSB0"
 

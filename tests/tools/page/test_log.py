@@ -17,11 +17,11 @@ from libmodbus_py.protocol import pdu
 from libmodbus_py.tools.page.log import Log, LogRow, named_cells
 from libmodbus_py.tools.page.units import ShownServer, shown_of
 from tests.support.cases import each_case
-from tests.tools.page.watching import Visitor, made_server, shown
+from tests.tools.page.watching import Visitor, make_server, page_of
 
 
 def test_the_log_has_the_last_writer_of_each_cell() -> None:
-    with shown() as (_, url, visitor), visitor.watching():
+    with page_of() as (_, url, visitor), visitor.watching():
         with Client(url, unit=1) as plc:
             plc.write_registers(100, [1, 2, 3])
             plc.write_coil(5, True)
@@ -49,7 +49,7 @@ def test_the_log_has_the_last_writer_of_each_cell() -> None:
 
 
 def test_the_log_is_text() -> None:
-    with shown() as (_, url, visitor), visitor.watching():
+    with page_of() as (_, url, visitor), visitor.watching():
         with Client(url, unit=1) as plc:
             plc.read_holding_registers(100, 3)
             plc.write_coils(3, [True, False])
@@ -91,14 +91,14 @@ def test_the_log_is_text() -> None:
     ],
 )
 def test_points_of_requests(request_: Any, response: Any, text: str) -> None:
-    unit = shown_of(made_server()).units[1]
+    unit = shown_of(make_server()).units[1]
     assert named_cells(unit, request_, response) == text
 
 
 @contextlib.contextmanager
 def talked() -> Iterator[Visitor]:
     """A visitor of a server to which a client wrote, and that refused something."""
-    with shown() as (_, url, visitor), Client(url, timeout=5) as plc, visitor.watching():
+    with page_of() as (_, url, visitor), Client(url, timeout=5) as plc, visitor.watching():
         plc.for_unit(1).write_register(2, 125)
         plc.for_unit(1).read_holding_registers(2, 1)
         with pytest.raises(IllegalDataAddress):

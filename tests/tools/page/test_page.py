@@ -12,13 +12,13 @@ from libmodbus_py import (
     ServerDeviceBusy,
 )
 from libmodbus_py.page import live_page
-from tests.tools.page.watching import NAMES, Visitor, made_server, shown
+from tests.tools.page.watching import NAMES, Visitor, make_server, page_of
 
 TOKEN = "Bookmarked-by_the-plant-2026"
 
 
 def test_the_first_message_has_all_tables() -> None:
-    with shown() as (_, _, visitor), visitor.watching():
+    with page_of() as (_, _, visitor), visitor.watching():
         first, second = visitor.rows("units")
     assert (first["number"], second["number"]) == (1, 2)
     assert first["name"] == "tank <script>alert(1)</script>"
@@ -39,7 +39,7 @@ def test_the_first_message_has_all_tables() -> None:
 
 
 def test_points_are_shown_with_their_values_and_only_what_changes_is_sent() -> None:
-    with shown() as (_, url, visitor), visitor.watching():
+    with page_of() as (_, url, visitor), visitor.watching():
         visitor.look(1, "points", 0, 100)
         visitor.receive(lambda: visitor.points("1/points"))
         assert visitor.points("1/points") == ["21.5", "0.0", "abc", "0, 0", "off", "0"]
@@ -52,7 +52,7 @@ def test_points_are_shown_with_their_values_and_only_what_changes_is_sent() -> N
 
 
 def test_cells_are_shown_as_far_as_they_are_looked_at() -> None:
-    with shown() as (_, url, visitor), visitor.watching():
+    with page_of() as (_, url, visitor), visitor.watching():
         visitor.look(1, "holding_registers", 100, 110)
         cells = visitor.receive(lambda: visitor.cells("1/holding_registers"))
         assert {cells[at] for at in range(100, 110)} == {0}
@@ -79,7 +79,7 @@ def test_the_server_itself_is_its_only_device() -> None:
 
 
 def test_two_pages_of_a_server_on_one_token_follow_it_and_end_alone() -> None:
-    server = made_server()
+    server = make_server()
     with live_page(server, token=TOKEN) as second, Visitor(second.url).watching() as other:
         with live_page(server, token=TOKEN) as first:
             one = Visitor(first.url)

@@ -21,7 +21,7 @@ from tests.support.peers import until
 from tests.tools.page.browsers import IN_BROWSER, person_at
 from tests.tools.page.tables import HOSTILE, Plant
 from tests.tools.page.test_changes import PLANT
-from tests.tools.page.watching import Visitor, is_served, made_server
+from tests.tools.page.watching import Visitor, is_served, make_server
 
 pytestmark = IN_BROWSER
 
@@ -29,7 +29,7 @@ pytestmark = IN_BROWSER
 def test_a_person_uses_the_page() -> None:
     from selenium.webdriver.common.keys import Keys
 
-    server = made_server(faults={1: [Fault("exception", code=6, function=4)]})
+    server = make_server(faults={1: [Fault("exception", code=6, function=4)]})
     with (
         live_page(server) as page,
         server.background("tcp://127.0.0.1:0") as running,
@@ -376,8 +376,8 @@ def test_a_page_that_lost_its_server_is_grey_and_returns_by_itself() -> None:
             assert "lost" not in person.attribute("body", "class")
         person.sees("#state", "no connection")
         # Another program at this address, with the same bookmark, has another page.
-        with live_page(made_server(), "127.0.0.1", port, TOKEN):
+        with live_page(make_server(), "127.0.0.1", port, TOKEN):
             person.sees("#units", "tank")
         person.sees("#state", "no connection")
-        with live_page(made_server(), "127.0.0.1", port):
+        with live_page(make_server(), "127.0.0.1", port):
             person.sees("#state", "new token")

@@ -33,7 +33,7 @@ class NamedDevice(Device):
     points = {each.name: each for each in POINTS}  # noqa: RUF012
 
 
-def made_server(**options: Any) -> Server:
+def make_server(**options: Any) -> Server:
     mapping = Mapping(
         coils=16,
         discrete_inputs=4,
@@ -173,8 +173,8 @@ class Visitor:
 
 
 @contextlib.contextmanager
-def shown(**options: Any) -> Iterator[tuple[Server, str, Visitor]]:
+def page_of(**options: Any) -> Iterator[tuple[Server, str, Visitor]]:
     """A server that serves, its Modbus URL, and who visits its page."""
-    server = made_server(**options)
+    server = make_server(**options)
     with live_page(server) as page, server.background("tcp://127.0.0.1:0") as running:
         yield server, running.urls[0], Visitor(page.url)

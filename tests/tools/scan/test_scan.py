@@ -15,7 +15,7 @@ from tests.support import certificates
 from tests.support.certificates import Pki
 from tests.support.golden import Refused
 from tests.support.interop import UNIT, program
-from tests.support.peers import FakeServer, dead, mbap, refusing, url_of
+from tests.support.peers import FakeServer, mbap, mute_port, refusing, url_of
 from tests.support.pymodbus_peers import pymodbus_serving
 from tests.tools.scan.simulated_bus import Member, SimulatedBus, answering, line, of, served
 
@@ -234,7 +234,7 @@ def test_silence_does_not_cost_the_connection(network: Network, scheme: str) -> 
 
 @pytest.mark.parametrize("begin", [scan, search])
 def test_an_unreachable_host_is_an_error_soon(begin: Callable[..., Any]) -> None:
-    with dead() as port, pytest.raises(ModbusConnectionError):
+    with mute_port() as port, pytest.raises(ModbusConnectionError):
         next(begin(f"tcp://127.0.0.1:{port}", timeout=0.1))
     with refusing() as bound:
         for url in (url_of(bound), url_of(bound).replace("tcp", "udp")):

@@ -12,7 +12,7 @@ from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP
 from libmodbus_py import AsyncClient, Client, RegisterMap, sunspec
 from libmodbus_py.sunspec import SunSpecError
 from libmodbus_py.tools.sunspec import BASES, ModelLayout, _discovery, definition_of, folder, walk
-from tests.support.sunspec import chain, file_device, serving, walked
+from tests.support.sunspec import chain, file_device, serving, walk_through
 
 DEVICES = {"inverter_123.json": 2, "device_1547.json": 14}
 """File of pysunspec2 -> the number of its models."""
@@ -148,7 +148,7 @@ COMMON = [1, 66, *([0] * 66)]
 
 
 def test_a_chain_is_followed_to_the_end_model() -> None:
-    walk_result = walked(walk(BASES), chain(COMMON, [64999, 3, 7, 8, 9]))
+    walk_result = walk_through(walk(BASES), chain(COMMON, [64999, 3, 7, 8, 9]))
     result = walk_result.result
     assert [tuple(each) for each in result.headers] == [(1, 40002, 66), (64999, 40070, 3)]
     assert (result.base, result.end, result.notes) == (40000, 40075, [])
@@ -172,7 +172,7 @@ LAST = 65536 - 40004
 def test_a_chain_that_does_not_end_well_is_followed_as_far_as_it_goes(
     cells: list[int], models: int, requests: int, note: str
 ) -> None:
-    walk_result = walked(walk(BASES), cells)
+    walk_result = walk_through(walk(BASES), cells)
     assert (len(walk_result.result.headers), len(walk_result.requests)) == (models, requests)
     assert walk_result.result.end is None
     assert [each[: len(note)] for each in walk_result.result.notes] == [note]
@@ -180,10 +180,10 @@ def test_a_chain_that_does_not_end_well_is_followed_as_far_as_it_goes(
 
 @pytest.mark.parametrize("base", BASES)
 def test_the_marker_is_sought_at_each_base(base: int) -> None:
-    walk_result = walked(walk(BASES), chain(COMMON), base)
+    walk_result = walk_through(walk(BASES), chain(COMMON), base)
     assert (walk_result.result.base, walk_result.result.notes) == (base, [])
     with pytest.raises(SunSpecError, match=r"address 0: .* address 40000: .* address 50000: "):
-        walked(walk(BASES), [0] * 10, 0)
+        walk_through(walk(BASES), [0] * 10, 0)
 
 
 KNOWN = [int(path.stem.partition("_")[2]) for path in folder().glob("model_*.json")]
@@ -205,7 +205,7 @@ def test_model_160_has_as_many_modules_as_its_length_has() -> None:
     fixed = [0xFFFF, 0, 0xFFFF, 3, 0, 0, 2, 0xFFFF]
     module = [1, *([0] * 8), 500, 4000, 0x8000, 0, 77, 0, 0, 25, 4, 0, 2]
     cells = chain([160, 48, *fixed, *module, 2, *module[1:]])
-    device = walked(_discovery([40000]), cells)
+    device = walk_through(_discovery([40000]), cells)
     points = device.result[160].map
     assert device.result.notes == ()
     assert [points[f"module.{at}.ID"].address for at in (1, 2)] == [40012, 40032]
@@ -223,7 +223,7 @@ def test_model_160_has_as_many_modules_as_its_length_has() -> None:
     ],
 )
 def test_a_length_that_fits_no_whole_group_is_noted(length: int, note: str) -> None:
-    device = walked(_discovery([40000]), chain([160, length, *([0] * length)])).result
+    device = walk_through(_discovery([40000]), chain([160, length, *([0] * length)])).result
     assert device.notes == (f"model 160 at address 40002 has the length {length}: {note}",)
     assert device.end == 40004 + length
     assert all(point.cells.stop <= 40004 + length for point in device[160].map.values())
@@ -233,7 +233,7 @@ def test_a_length_that_fits_no_whole_group_is_noted(length: int, note: str) -> N
 def test_a_count_that_does_not_fit_makes_no_storm(count: int) -> None:
     # 705: NPt and NCrv are the registers 5 and 6 of the model.
     model = [705, 20, 0, 0, 0, count, count, *([0] * 15)]
-    device = walked(_discovery([40000]), chain(model))
+    device = walk_through(_discovery([40000]), chain(model))
     assert len(device.requests) == 4
     assert len(device.result[705].map) < 30
 
@@ -248,7 +248,7 @@ def test_the_number_of_points_is_limited() -> None:
 
 def test_values_are_scaled_named_and_missing() -> None:
     cells = chain([101, 50, 123, 0xFFFF, 0xFFFF, 0xFFFF, 0xFFFE, *([0x8000] * 45)])
-    points = walked(_discovery([40000]), cells).result[101].map
+    points = walk_through(_discovery([40000]), cells).result[101].map
     assert points["A"].scale_from == "A_SF"
     assert points["A"].decode([123], source=-2) == 1.23
     assert points["A"].decode([0xFFFF], source=-2) is None
@@ -264,7 +264,7 @@ def test_values_are_scaled_named_and_missing() -> None:
 
 
 def test_a_mac_address_is_text_when_read_and_written() -> None:
-    point = walked(_discovery([40000]), chain([11, 13, *[0] * 13])).result[11].map["MAC"]
+    point = walk_through(_discovery([40000]), chain([11, 13, *[0] * 13])).result[11].map["MAC"]
     registers = [0, 0x0DD7, 0x4CC6, 0x448E]
     assert point.decode(registers) == "0D:D7:4C:C6:44:8E"
     assert point.encode("0D:D7:4C:C6:44:8E") == registers

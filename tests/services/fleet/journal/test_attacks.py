@@ -24,10 +24,10 @@ from libmodbus_py.services.fleet.outputs.pump import MOST_OF_JOURNAL
 from tests.services.fleet.fleets import NETWORK, Peer, in_simulated_time, meter, until
 from tests.services.fleet.journal.journals import (
     Failing,
-    asked,
     in_journal,
     journal_of,
     polls,
+    query,
     run_for,
 )
 from tests.support.outputs import FakeOutput
@@ -126,7 +126,7 @@ async def test_a_reload_in_the_midst_of_transactions_loses_and_repeats_nothing(
                 await asyncio.sleep(0.03 * (at % 7))
     assert broker.ids == in_journal(path)
     # Three points of two devices with three sets of labels.
-    assert asked(path, "SELECT count(*) FROM point")[0][0] <= 18
+    assert query(path, "SELECT count(*) FROM point")[0][0] <= 18
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from libmodbus_py.services.fleet.journal import place as recent
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from tests.services.fleet.fleets import Peer, in_simulated_time, meter, until
-from tests.services.fleet.journal.journals import asked, in_journal, journal_of, readings, run_for
+from tests.services.fleet.journal.journals import in_journal, journal_of, query, readings, run_for
 from tests.support.outputs import FakeOutput
 
 HOUR = 3600.0
@@ -116,7 +116,7 @@ def test_a_file_is_the_same_output_in_whatever_folder_the_program_starts(
     monkeypatch.chdir(tmp_path)
     run_for(path, 30, JsonOutput("readings.jsonl"))
     run_for(path, 30, JsonOutput(str(tmp_path / "readings.jsonl")))
-    assert asked(path, "SELECT output FROM place") == [(f"json {tmp_path}/readings.jsonl",)]
+    assert query(path, "SELECT output FROM place") == [(f"json {tmp_path}/readings.jsonl",)]
 
 
 @in_simulated_time

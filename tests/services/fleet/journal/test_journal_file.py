@@ -23,7 +23,7 @@ from libmodbus_py.services.fleet.journal.schema import (
     JournalPoll,
     numbered,
 )
-from tests.services.fleet.journal.journals import asked, polls, readings
+from tests.services.fleet.journal.journals import polls, query, readings
 
 DAY = 86_400.0
 
@@ -59,7 +59,7 @@ def test_polls_are_read_as_they_were_written(file: JournalFile) -> None:
 def test_a_poll_that_is_written_again_is_there_once(file: JournalFile) -> None:
     file.write_polls(polls(1, 2), {}, 0)
     file.write_polls(polls(1, 3), {}, 0)
-    assert asked(file.path, "SELECT id FROM poll") == [(1,), (3,), (5,)]
+    assert query(file.path, "SELECT id FROM poll") == [(1,), (3,), (5,)]
 
 
 def test_a_person_sees_names_units_and_labels(file: JournalFile) -> None:
@@ -76,7 +76,7 @@ def test_a_person_sees_names_units_and_labels(file: JournalFile) -> None:
     file.write_polls([*numbered(rows, 10), *numbered(later, 20)], {}, 0)
     columns = "id, time, device, name, value, unit, quality, reason, labels, seconds"
     at, labels = "1970-01-01T00:00:00.500Z", '{"site":"north"}'
-    assert asked(file.path, f"SELECT {columns} FROM reading ORDER BY id") == [
+    assert query(file.path, f"SELECT {columns} FROM reading ORDER BY id") == [
         (10, at, hostile, 'a"b', 230.5, "V", "good", "", labels, 0.5),
         (11, at, hostile, "$.x[0]", None, "", "bad", "IllegalDataAddress", labels, 0.5),
         (12, at, hostile, "on", 1, "", "good", "", labels, 0.5),
@@ -87,7 +87,7 @@ def test_a_person_sees_names_units_and_labels(file: JournalFile) -> None:
 
 
 def test_a_question_about_one_device_uses_the_index(file: JournalFile) -> None:
-    plan = asked(
+    plan = query(
         file.path, "EXPLAIN QUERY PLAN SELECT * FROM reading WHERE device = 'a' AND seconds > 5"
     )
     assert any("poll_of_device (device=? AND time>?)" in str(row) for row in plan), plan
@@ -111,7 +111,7 @@ def test_readings_keep_the_labels_of_their_time(file: JournalFile) -> None:
 def test_the_first_points_of_a_list_are_not_all_of_a_history(file: JournalFile) -> None:
     file.write_polls(some(1, "p0", "p1"), {}, 0)
     file.write_polls(some(3, "p0"), {}, 0)
-    assert asked(file.path, "SELECT chosen FROM poll") == [(None,), (None,)]
+    assert query(file.path, "SELECT chosen FROM poll") == [(None,), (None,)]
     assert [each.value for each in history(file.path, "a", "p1", 0, 9)] == [1]
     assert [each.value for each in history(file.path, "a", "p0", 0, 9)] == [1, 3]
 
@@ -134,7 +134,7 @@ def test_a_poll_that_cannot_be_written_delays_no_other(file: JournalFile, caplog
     file.write_polls(
         [*polls(1, 1), *numbered([strange], 3), *numbered([nameless], 4), *polls(5, 1)], {}, 0
     )
-    assert asked(file.path, "SELECT id FROM poll") == [(1,), (5,)]
+    assert query(file.path, "SELECT id FROM poll") == [(1,), (5,)]
     assert "a poll of 'b' is not written: Object of type object" in caplog.text
     assert "a poll of '\\ud800' is not written: 'utf-8' codec" in caplog.text
 
@@ -152,7 +152,7 @@ def test_places_are_kept_for_each_output(path: str) -> None:
     file.close()
     file.open(["new"])  # an output that is away keeps its place
     file.close()
-    assert dict(asked(path, "SELECT * FROM place"))["a"] == first.first + 3
+    assert dict(query(path, "SELECT * FROM place"))["a"] == first.first + 3
 
 
 @pytest.mark.parametrize("now", [0.0, 4e9])
@@ -175,7 +175,7 @@ def test_old_readings_are_deleted_once_all_outputs_confirmed_them(path: str) -> 
     )  # later ones wait for an output
     assert file.write_polls([], {}, 40).deleted[-1] == (19, 2)
     assert file.write_polls([], {}, 40).deleted == []
-    assert asked(path, "SELECT min(id), count(*) FROM poll") == [(21, 10)]
+    assert query(path, "SELECT min(id), count(*) FROM poll") == [(21, 10)]
     file.close()
 
 
@@ -186,7 +186,7 @@ def test_a_clock_that_is_wrong_for_a_while_deletes_little(path: str, now, monkey
     file._to_delete = 0  # what these allowed was used up long ago
     monkeypatch.setattr(journal_file, "time", SimpleNamespace(time=lambda: now, monotonic=float))
     file.write_polls(polls(5001, 3, time=now), {}, 10_000)
-    [[count]] = asked(path, "SELECT count(*) FROM poll WHERE id < 5000")
+    [[count]] = query(path, "SELECT count(*) FROM poll WHERE id < 5000")
     assert count == (970 if now else 1000)
     file.close()
 
@@ -201,7 +201,7 @@ def test_the_oldest_readings_make_room_confirmed_or_not(path: str) -> None:
         while result.deleted:
             deleted = sum(result.deleted[-1]) - 1
             result = file.write_polls([], {}, 0)
-    [[oldest, count]] = asked(path, "SELECT min(id), count(*) FROM poll")
+    [[oldest, count]] = query(path, "SELECT min(id), count(*) FROM poll")
     assert oldest == deleted + 1
     assert 500 < count < 10_000
     file.close()
@@ -267,11 +267,11 @@ def test_a_full_disk_leaves_all_as_it_was(file: JournalFile) -> None:
     many = polls(21, 5000)
     with pytest.raises(JournalError, match=r"the disk is full$"):
         file.write_polls(many, {"a": 1 << 61}, 0)
-    assert asked(file.path, "SELECT count(*), max(id) FROM poll") == [(10, 19)]
-    assert dict(asked(file.path, "SELECT * FROM place"))["a"] == 1 << 60
+    assert query(file.path, "SELECT count(*), max(id) FROM poll") == [(10, 19)]
+    assert dict(query(file.path, "SELECT * FROM place"))["a"] == 1 << 60
     file._used.execute("PRAGMA max_page_count = 1000000").fetchall()
     file.write_polls(many, {"a": 9}, 0)
-    assert asked(file.path, "SELECT count(*) FROM poll") == [(5010,)]
+    assert query(file.path, "SELECT count(*) FROM poll") == [(5010,)]
 
 
 def test_each_damaged_file_keeps_a_name_of_its_own(path: str) -> None:

@@ -19,7 +19,7 @@ from tests.services.fleet.fleets import Peer, in_simulated_time, meter, simulate
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
 from tests.support.cases import each_case
-from tests.support.outputs import FakeOutput, pumped, pumping, reading
+from tests.support.outputs import FakeOutput, pump_all, pumping, reading
 
 LOST = ConnectionError("the connection was lost")
 
@@ -98,7 +98,7 @@ def test_an_output_that_raises_when_closed_is_opened_again() -> None:
 def test_a_poll_is_never_divided_by_the_buffer() -> None:
     output = FakeOutput()
     simulated_run(
-        pumped(output, [reading(device, f"{at}") for device in "abc" for at in range(1200)])
+        pump_all(output, [reading(device, f"{at}") for device in "abc" for at in range(1200)])
     )
     assert {len(batch) % 1200 for batch in output.batches} == {0}
     assert len(output.accepted) == 3600
@@ -271,7 +271,7 @@ def test_a_poll_that_nats_denies_or_finds_too_large_holds_up_no_others(kind, val
         client = engine.client()
         client.max_payload = 2000
         readings = [reading("a", "one"), reading("x", "one", value, 101.0), reading("b", "one")]
-        pump = await pumped(kind(cast(Any, client), {}), readings)
+        pump = await pump_all(kind(cast(Any, client), {}), readings)
         await client.close()
         return pump.statistics
 

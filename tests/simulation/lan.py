@@ -36,7 +36,7 @@ DESCRIPTORS = 20_000  # what a process of the simulated machine may have open, w
 PATIENCE = 3600.0  # simulated seconds that a test waits for what is to come
 
 
-class Stage(Network):
+class Lan(Network):
     """
     A network, and the event loop of all that serves there; blocking clients wait in it, too.
 
@@ -109,7 +109,7 @@ class Stage(Network):
         return SimpleNamespace(exists=lambda path: path not in self.missing, realpath=str)
 
     def waker(self) -> MemoryWaker:
-        return _StageWaker(self)
+        return _LanWaker(self)
 
     # --- who serves, who connects ---------------------------------------------------------------
 
@@ -127,7 +127,7 @@ class Stage(Network):
 
     def talk(
         self, target: str | int, source: str | None = None, *, timeout: float = PATIENCE
-    ) -> Talker:
+    ) -> LanClient:
         """
         Connect to a URL, or to a port of 127.0.0.1; over UDP, be ready to send datagrams there.
         """
@@ -136,7 +136,7 @@ class Stage(Network):
         opened = self.open_datagrams if is_udp else self.connect
         end, _ = opened(endpoint.host, endpoint.port, source)
         assert end is not None
-        talker = Talker(self, end, timeout)
+        talker = LanClient(self, end, timeout)
         talker.wait_to_write()
         if number := end.getsockopt(0, 0):
             end.close()
@@ -144,10 +144,10 @@ class Stage(Network):
         return talker
 
 
-class _StageWaker(MemoryWaker):
+class _LanWaker(MemoryWaker):
     """Waits in the loop of the stage, so that servers answer meanwhile."""
 
-    def __init__(self, stage: Stage) -> None:
+    def __init__(self, stage: Lan) -> None:
         super().__init__(stage.events, stage.descriptors)
         self._stage = stage
 
@@ -161,10 +161,10 @@ class _StageWaker(MemoryWaker):
         self._stage.pass_time(max(0.0, seconds))
 
 
-class Talker:
+class LanClient:
     """A client that writes and reads what it likes, with the face of a blocking `socket.socket`."""
 
-    def __init__(self, stage: Stage, end: MemorySocket, timeout: float) -> None:
+    def __init__(self, stage: Lan, end: MemorySocket, timeout: float) -> None:
         self.end: MemorySocket = end
         self.timeout: float = timeout
         self._stage = stage
