@@ -17,7 +17,7 @@ from itertools import count
 
 from .broken import BREAKS, Break
 from .events import START
-from .runs import Failure, options_of, recorded_options, run_or_failure, shortest_options
+from .runs import Failure, options_of, run_or_failure, seed_options, shortest_options
 from .scenarios import SCENARIOS
 from .world import Options, World
 
@@ -66,7 +66,7 @@ def main() -> int:
         runs = [_hour(first + number) for number in range(max(1, round(options.hours)))]
         failure = _try_all(runs, tally)
     else:
-        failure = None if options.seed is not None else _try_all(recorded_options(), tally)
+        failure = None if options.seed is not None else _try_all(seed_options(), tally)
         failure = failure or _try_fresh(first, options.seconds, options.scenario, tally)
     print(f"{tally}; first fresh seed {first}")
     if failure is None:

@@ -34,9 +34,8 @@ class Break:
         """Return the run of a seed, with one of these scenarios."""
         scenario = self.scenarios[base.seed % len(self.scenarios)]
         faults = self.faults or base.faults
-        return replace(
-            base, scenario=scenario, faults=faults, pause=min(base.pause, 0.1), seconds=20.0
-        )
+        pause = min(base.pause, 0.1)
+        return replace(base, scenario=scenario, faults=faults, pause=pause, seconds=20.0)
 
 
 @contextlib.contextmanager

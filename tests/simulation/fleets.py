@@ -100,14 +100,14 @@ class Fleet:
 async def fleet(world: World) -> None:
     """Three workers that are killed, stopped and cut off, and an engine that loses and restarts."""
     until = world.events.now + world.options.seconds
-    scenario = Fleet(world, places=world.options.units, units=2, interval=0.5)
-    async with scenario.polling(3):
+    fleet_ = Fleet(world, places=world.options.units, units=2, interval=0.5)
+    async with fleet_.polling(3):
         while world.events.now < until:
-            await scenario.disturb()
-            scenario.look()
+            await fleet_.disturb()
+            fleet_.look()
             await asyncio.sleep(world.random.uniform(0, 2 * LEASE))
-        await scenario.recover()
-        scenario.look()
+        await fleet_.recover()
+        fleet_.look()
 
 
 async def plant(world: World) -> None:
@@ -120,22 +120,20 @@ async def plant(world: World) -> None:
         Route(f"rtu:///dev/line?baudrate=19200&timeout={timeout}", range(1, 1 + half)),
         Route(f"{behind}?timeout={timeout}", range(1 + half, numbers.stop)),
     ]
-    scenario = Fleet(world, PLACES, UNITS, interval=60.0, lease=LONG_LEASE)
+    fleet_ = Fleet(world, PLACES, UNITS, interval=60.0, lease=LONG_LEASE)
     until = world.events.now + world.options.seconds
     gateway = Gateway(routes)
-    async with (
-        asking_gateway(world, gateway, world.options.clients, 3.0) as asks,
-        scenario.polling(3),
-    ):
+    count = world.options.clients
+    async with asking_gateway(world, gateway, count, 3.0) as asks, fleet_.polling(3):
         acts = (world.act(ask, numbers, until) for ask in asks)
-        await asyncio.gather(*acts, _disturb_until(world, scenario, until))
-        await scenario.recover()
-        scenario.look()
+        await asyncio.gather(*acts, _disturb_until(world, fleet_, until))
+        await fleet_.recover()
+        fleet_.look()
 
 
-async def _disturb_until(world: World, scenario: Fleet, until: float) -> None:
+async def _disturb_until(world: World, fleet_: Fleet, until: float) -> None:
     while world.events.now < until:
         await asyncio.sleep(world.random.expovariate(1 / 300.0))
-        await scenario.disturb()
-        scenario.look()
+        await fleet_.disturb()
+        fleet_.look()
         world.checker.forget(world.events.now - 300.0)

@@ -1,6 +1,6 @@
 """
-Scenarios made of situations that users report: a line on which others talk, clients that are made anew
-for each poll, devices that are busy, that close after each answer, or send wrong transaction ids.
+Scenarios that users report: a line on which others talk, clients that are made anew for each poll,
+devices that are busy, that close after each answer, or send wrong transaction ids.
 """
 
 import asyncio

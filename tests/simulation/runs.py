@@ -87,7 +87,7 @@ class Failure:
         return self.error.rule if isinstance(self.error, Broken) else type(self.error).__name__
 
 
-def recorded_options() -> list[Options]:
+def seed_options() -> list[Options]:
     """Return the runs that failed once, oldest first."""
     seeds = json.loads(Path(__file__).with_name("seeds.json").read_text())
     return [Options(**{**each["run"], "faults": tuple(each["run"]["faults"])}) for each in seeds]
@@ -101,7 +101,7 @@ def play(options: Options) -> World:
 
 
 def run_or_failure(options: Options, lines: list[str] | None = None) -> Failure | World:
-    """Run a scenario; return how it failed, or the world at its end. `lines` get what was said last."""
+    """Run a scenario; return how it failed, or the world at its end. `lines` get what was last."""
     world = World(options)
     exchange = Exchange(world.events)
     world.network.tap = exchange.tell

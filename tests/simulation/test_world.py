@@ -9,7 +9,7 @@ import pytest
 
 from .__main__ import find
 from .broken import BREAKS, Break
-from .runs import Failure, options_of, play, recorded_options, run_or_failure, shortest_options
+from .runs import Failure, options_of, play, run_or_failure, seed_options, shortest_options
 from .scenarios import SCENARIOS
 from .world import Options
 
@@ -26,9 +26,7 @@ def test_no_rule_is_broken(scenario: str, seed: int) -> None:
     play(replace(options_of(seed), scenario=scenario, seconds=20.0))
 
 
-@pytest.mark.parametrize(
-    "options", recorded_options(), ids=lambda run: f"{run.scenario}-{run.seed}"
-)
+@pytest.mark.parametrize("options", seed_options(), ids=lambda run: f"{run.scenario}-{run.seed}")
 def test_what_failed_once_does_not_fail_again(options: Options) -> None:
     play(options)
 

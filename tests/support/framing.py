@@ -1,4 +1,4 @@
-"""Frames of units and bodies, as `talk` computes them, and framers fed with their bytes."""
+"""Frames of units and bodies, as `driver` computes them, and framers fed with their bytes."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -7,7 +7,7 @@ from typing import Any
 from libmodbus_py import pdu
 from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, RtuFramer, TcpFramer
-from tests.support import talk
+from tests.support import driver
 from tests.support.cases import each_case
 
 NO_REQUESTS = [
@@ -80,11 +80,11 @@ def frames_in_bytes(framer: AnyFramer, data: bytes) -> list[Frame]:
 
 
 def rtu(unit: int, body: bytes) -> bytes:
-    return talk.rtu((bytes([unit]) + body).hex())
+    return driver.rtu((bytes([unit]) + body).hex())
 
 
 def ascii_frame(unit: int, body: bytes, end: bytes = b"\r\n") -> bytes:
-    return talk.ascii_frame((bytes([unit]) + body).hex(), end)
+    return driver.ascii_frame((bytes([unit]) + body).hex(), end)
 
 
 def mbap(transaction: int, protocol: int, length: int, unit: int, body: bytes) -> bytes:
