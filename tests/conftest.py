@@ -100,7 +100,7 @@ def device(mapping: Mapping) -> Device:
 
 
 @pytest.fixture
-def stage() -> Iterator[Lan]:
+def lan() -> Iterator[Lan]:
     """A network in memory, on which seconds pass only while the test waits."""
     with Lan() as made:
         yield made

@@ -74,27 +74,27 @@ def test_a_mistake_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
 
 
 @pytest.mark.parametrize("kind", ["server", "gateway"])
-def test_who_answers_on_a_line_goes_on(stage: Lan, kind: str) -> None:
+def test_who_answers_on_a_line_goes_on(lan: Lan, kind: str) -> None:
     device = Device(Mapping(holding_registers={0: [7]}))
     behind = "tcp://10.0.0.2:502" if kind == "gateway" else LINE
     with registration(_fails), Server({1: device}).background(behind):
         gateway = Gateway([Route("tcp://10.0.0.2:502", units="1")])
         if kind == "server":
-            assert heard(stage) == REFUSAL + ANSWER
+            assert heard(lan) == REFUSAL + ANSWER
         else:
             with gateway.background(LINE):
-                assert heard(stage) == REFUSAL + ANSWER
+                assert heard(lan) == REFUSAL + ANSWER
 
 
-def heard(stage: Lan) -> bytes:
-    master = LineEnd(stage.line("/dev/line"))
+def heard(lan: Lan) -> bytes:
+    master = LineEnd(lan.line("/dev/line"))
     for data in (OWN, READ):
         master.write(data)
-        stage.pass_time(0.5)
+        lan.pass_time(0.5)
     return master.heard
 
 
-def test_a_client_on_a_line_goes_on(stage: Lan) -> None:
+def test_a_client_on_a_line_goes_on(lan: Lan) -> None:
     """The answers to its own class are lost, and nothing else."""
     device = Device(Mapping(holding_registers={0: [7]}))
     with (

@@ -43,7 +43,7 @@ SPARE = 100
 
 # What the memory of a process may grow by though nothing leaks: malloc keeps pages that it
 # got back. Starting leaves about 1 MB free, which hides as much of a leak. What Python allocates
-# is counted to the byte on the stage.
+# is counted to the byte on the LAN.
 SLACK = 600_000
 WARM_UP = 300
 CYCLES = 1_200
@@ -125,7 +125,7 @@ def ask_on(server: LanServer, cycles: int) -> None:
 
 @pytest.mark.parametrize("kind", OVER_TCP)
 @pytest.mark.parametrize("work", [come_and_go, ask_on])
-def test_what_comes_and_goes_leaves_no_byte_in_the_server(stage: Lan, kind, work) -> None:
+def test_what_comes_and_goes_leaves_no_byte_in_the_server(lan: Lan, kind, work) -> None:
     """A leak of one object in ten cycles shows."""
     package = [tracemalloc.Filter(True, "*/libmodbus_py/*")]
 
@@ -134,7 +134,7 @@ def test_what_comes_and_goes_leaves_no_byte_in_the_server(stage: Lan, kind, work
         found = tracemalloc.take_snapshot().filter_traces(package).statistics("filename")
         return sum(each.count for each in found)
 
-    with server_on(stage, kind) as server:
+    with server_on(lan, kind) as server:
         work(server, 60)
         tracemalloc.start()
         try:

@@ -44,16 +44,16 @@ def noting(roles: list[str | None]) -> Device:
 
 
 @pytest.fixture
-def served(stage: Lan, pki: Pki, noting: Device, events: Events) -> Iterator[tuple[Server, int]]:
+def served(lan: Lan, pki: Pki, noting: Device, events: Events) -> Iterator[tuple[Server, int]]:
     with serving(pki, noting, audit=events.append) as served:
         yield served
 
 
 def test_an_authority_below_may_have_signed_if_it_is_shown(
-    stage: Lan, served: tuple[Server, int], pki: Pki, roles: list[str | None]
+    lan: Lan, served: tuple[Server, int], pki: Pki, roles: list[str | None]
 ) -> None:
     identity = certificates.client("Chief", issuer=certificates.intermediate())
-    with TlsClient(served[1], context(pki, identity), stage=stage).handshake() as client:
+    with TlsClient(served[1], context(pki, identity), lan=lan).handshake() as client:
         assert client.is_answered()
     assert roles == ["Chief"]
 
@@ -71,14 +71,14 @@ GCM = "AES128-GCM-SHA256"
     ],
 )
 def test_the_suites_that_must_be_there_are(
-    stage: Lan, pki: Pki, key: str, version: str, ciphers: str | None, negotiated: str
+    lan: Lan, pki: Pki, key: str, version: str, ciphers: str | None, negotiated: str
 ) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
     security = pki.security(certificates.server(**keys))
     told = context(pki, certificates.client(**keys), VERSIONS[version], ciphers)
     with (
         serving(pki, security=security) as (server, port),
-        TlsClient(port, told, stage=stage).handshake() as client,
+        TlsClient(port, told, lan=lan).handshake() as client,
     ):
         assert client.is_answered()
         assert client.tls.version() == f"TLSv{version}"
@@ -101,29 +101,29 @@ def test_the_suites_that_must_be_there_are(
     ],
     ids=lambda ciphers: ciphers.partition(":")[0],
 )
-def test_suites_that_are_weak_are_refused(stage: Lan, pki: Pki, key: str, ciphers: str) -> None:
+def test_suites_that_are_weak_are_refused(lan: Lan, pki: Pki, key: str, ciphers: str) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
     security = pki.security(certificates.server(**keys))
     told = context(pki, certificates.client(**keys), VERSIONS["1.2"], f"{ciphers}:@SECLEVEL=0")
     with (
         serving(pki, security=security) as (server, port),
-        TlsClient(port, told, stage=stage) as client,
+        TlsClient(port, told, lan=lan) as client,
     ):
         with pytest.raises(ssl.SSLError, match="HANDSHAKE_FAILURE"):
             client.handshake()
-        assert stage.until(lambda: server.statistics.connections == 0)
+        assert lan.until(lambda: server.statistics.connections == 0)
         assert (server.statistics.handshakes, server.statistics.handshakes_refused) == (0, 1)
 
 
 @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1, ssl.TLSVersion.TLSv1_1])
-def test_older_versions_are_refused(stage: Lan, pki: Pki, served: tuple[Server, int], version):
+def test_older_versions_are_refused(lan: Lan, pki: Pki, served: tuple[Server, int], version):
     told = context(pki, certificates.client(), version, "ALL:@SECLEVEL=0")
     with (
-        TlsClient(served[1], told, stage=stage) as client,
+        TlsClient(served[1], told, lan=lan) as client,
         pytest.raises(ssl.SSLError, match="PROTOCOL_VERSION"),  # R-01, R-34
     ):
         client.handshake()
-    assert stage.until(lambda: served[0].statistics.handshakes_refused == 1)
+    assert lan.until(lambda: served[0].statistics.handshakes_refused == 1)
 
 
 def tampered() -> Identity:
@@ -188,7 +188,7 @@ BAD: dict[str, tuple[Callable[[], Identity | None], str, str | None]] = {
 @VERSION
 @pytest.mark.parametrize("who", BAD)
 def test_nobody_gets_in_with_a_bad_certificate(
-    stage: Lan,
+    lan: Lan,
     pki: Pki,
     served: tuple[Server, int],
     roles: list[str | None],
@@ -204,7 +204,7 @@ def test_nobody_gets_in_with_a_bad_certificate(
     peers = []
     with caplog.at_level(logging.INFO):
         for _ in range(2):  # neither at first, nor with the session of the first time (R-11)
-            with TlsClient(port, told, session=None, stage=stage) as client:
+            with TlsClient(port, told, session=None, lan=lan) as client:
                 peers.append(":".join(map(str, client.socket.getsockname())))
                 if alert is None:
                     client.handshake()
@@ -214,11 +214,11 @@ def test_nobody_gets_in_with_a_bad_certificate(
                     with pytest.raises(ssl.SSLError, match=alert):
                         client.handshake().ask(ONE, 1)
     statistics = server.statistics
-    assert stage.until(lambda: statistics.connections == 0)
+    assert lan.until(lambda: statistics.connections == 0)
     assert (statistics.handshakes, statistics.handshakes_refused) == (0, 2)
     assert statistics.requests == 0
     assert roles == []
-    stage.pass_time(61)
+    lan.pass_time(61)
     loud = [each for each in caplog.records if each.levelno > logging.INFO]
     assert [each.levelno for each in loud] == [logging.WARNING] * 2
     for peer, record in zip(peers, loud, strict=True):
@@ -234,18 +234,18 @@ def test_nobody_gets_in_with_a_bad_certificate(
 
 @VERSION
 def test_a_session_of_one_that_was_refused_is_refused(
-    stage: Lan, pki: Pki, served: tuple[Server, int], version: ssl.TLSVersion
+    lan: Lan, pki: Pki, served: tuple[Server, int], version: ssl.TLSVersion
 ) -> None:
     """Its role is read when OpenSSL has given the ticket away."""
     told = context(pki, BAD["two roles"][0](), version)
     session = None
     for _ in range(3):
-        with TlsClient(served[1], told, session, stage=stage) as client:
+        with TlsClient(served[1], told, session, lan=lan) as client:
             client.handshake()
             assert client.ask(ONE, 1) == b""
             session = client.tls.session
     statistics = served[0].statistics
-    assert stage.until(lambda: statistics.handshakes_refused == 3)
+    assert lan.until(lambda: statistics.handshakes_refused == 3)
     assert (statistics.handshakes, statistics.handshakes_resumed) == (0, 0)
 
 
@@ -281,7 +281,7 @@ def test_without_cryptography_only_roles_are_refused(pki: Pki) -> None:
 
 
 @pytest.mark.parametrize("how", ["one", "several", "with a hash"])
-def test_only_those_that_are_pinned_get_in(stage: Lan, pki: Pki, how: str) -> None:
+def test_only_those_that_are_pinned_get_in(lan: Lan, pki: Pki, how: str) -> None:
     mine = certificates.self_signed(role="Installer")
     files = [pki.files(mine).cert]
     if how != "one":
@@ -294,15 +294,15 @@ def test_only_those_that_are_pinned_get_in(stage: Lan, pki: Pki, how: str) -> No
         certificates.self_signed("Test device", days=2),  # the same name
     ]
     with serving(pki, security=security) as (server, port):
-        with TlsClient(port, context(pki, mine), stage=stage).handshake() as client:
+        with TlsClient(port, context(pki, mine), lan=lan).handshake() as client:
             assert client.is_answered()
         for stranger in strangers:
             with (
-                TlsClient(port, context(pki, stranger), stage=stage) as client,
+                TlsClient(port, context(pki, stranger), lan=lan) as client,
                 pytest.raises(ssl.SSLError, match=r"UNKNOWN_CA|BAD_CERT|DECRYPT"),
             ):
                 client.handshake().ask(ONE, 1)
-        assert stage.until(lambda: server.statistics.handshakes_refused == len(strangers))
+        assert lan.until(lambda: server.statistics.handshakes_refused == len(strangers))
 
 
 def digest(identity: Identity | None) -> str:
@@ -310,23 +310,23 @@ def digest(identity: Identity | None) -> str:
     return hashlib.sha256(identity.der).hexdigest()
 
 
-def test_what_a_pinned_one_has_signed_is_not_pinned(stage: Lan, pki: Pki, caplog) -> None:
+def test_what_a_pinned_one_has_signed_is_not_pinned(lan: Lan, pki: Pki, caplog) -> None:
     """OpenSSL takes it, for the pinned one is what it trusts."""
     security = pki.server(pin=pki.authority(certificates.authority()))
-    with caplog.at_level(logging.INFO), talking(stage, pki, security=security) as (server, client):
+    with caplog.at_level(logging.INFO), talking(lan, pki, security=security) as (server, client):
         assert client.ask(ONE, 1) == b""
         assert (server.statistics.handshakes, server.statistics.handshakes_refused) == (0, 1)
     assert "none of the pins" in caplog.text
 
 
-def test_a_pinned_one_must_be_good_for_clients(stage: Lan, pki: Pki) -> None:
+def test_a_pinned_one_must_be_good_for_clients(lan: Lan, pki: Pki) -> None:
     """OpenSSL looks at the extended key usage, and cannot be told not to."""
     mine = certificates.server_only()
     security = pki.server(pin=pki.files(mine).cert)
     with serving(pki, security=security) as (_, port):
         told = context(pki, mine)
         with (
-            TlsClient(port, told, stage=stage) as client,
+            TlsClient(port, told, lan=lan) as client,
             pytest.raises(ssl.SSLError, match="UNSUPPORTED"),
         ):
             client.handshake().ask(ONE, 1)
@@ -334,7 +334,7 @@ def test_a_pinned_one_must_be_good_for_clients(stage: Lan, pki: Pki) -> None:
 
 @VERSION
 def test_a_pinned_one_may_be_old_also_when_it_resumes(
-    stage: Lan, pki: Pki, version: ssl.TLSVersion
+    lan: Lan, pki: Pki, version: ssl.TLSVersion
 ) -> None:
     mine = certificates.self_signed(**certificates.expired())
     told = context(pki, mine, version)
@@ -342,7 +342,7 @@ def test_a_pinned_one_may_be_old_also_when_it_resumes(
     session = None
     with serving(pki, security=security) as (server, port):
         for _ in range(2):
-            with TlsClient(port, told, session, stage=stage).handshake() as client:
+            with TlsClient(port, told, session, lan=lan).handshake() as client:
                 assert client.is_answered()
                 session = client.tls.session
         assert server.statistics.handshakes_resumed == 1
@@ -350,7 +350,7 @@ def test_a_pinned_one_may_be_old_also_when_it_resumes(
 
 @pytest.mark.parametrize("how", ["1.2", "1.2 without tickets", "1.3"])
 def test_a_session_that_is_resumed_keeps_its_role(
-    stage: Lan, pki: Pki, served: tuple[Server, int], roles: list[str | None], how: str
+    lan: Lan, pki: Pki, served: tuple[Server, int], roles: list[str | None], how: str
 ) -> None:
     server, port = served
     told = context(pki, certificates.client("Chief"), VERSIONS[how[:3]])
@@ -358,7 +358,7 @@ def test_a_session_that_is_resumed_keeps_its_role(
         told.options |= ssl.OP_NO_TICKET
     session = None
     for turn in range(3):  # R-42, R-43
-        with TlsClient(port, told, session, stage=stage).handshake() as client:
+        with TlsClient(port, told, session, lan=lan).handshake() as client:
             assert client.is_answered()
             assert client.tls.session_reused == (turn > 0)
             session = client.tls.session
@@ -368,19 +368,19 @@ def test_a_session_that_is_resumed_keeps_its_role(
 
 @VERSION
 def test_a_certificate_that_expired_meanwhile_resumes_nothing(
-    stage: Lan, pki: Pki, served: tuple[Server, int], caplog, monkeypatch, version: ssl.TLSVersion
+    lan: Lan, pki: Pki, served: tuple[Server, int], caplog, monkeypatch, version: ssl.TLSVersion
 ) -> None:
     """OpenSSL looks at the dates when a session begins, and not again."""
     server, port = served
     end = datetime.now(UTC) + timedelta(hours=1)
     identity = certificates.client(begin=end - timedelta(hours=2), days=1 / 12)
     told = context(pki, identity, version)
-    with TlsClient(port, told, stage=stage).handshake() as client:
+    with TlsClient(port, told, lan=lan).handshake() as client:
         assert client.is_answered()
         session = client.tls.session
     later = SimpleNamespace(time=lambda: end.timestamp() + 1)
     monkeypatch.setattr("libmodbus_py.security.tunnel.time", later)
-    with caplog.at_level(logging.INFO), TlsClient(port, told, session, stage=stage) as client:
+    with caplog.at_level(logging.INFO), TlsClient(port, told, session, lan=lan) as client:
         client.handshake()
         assert client.tls.session_reused
         assert client.ask(ONE, 1) == b""

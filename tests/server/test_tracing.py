@@ -158,16 +158,16 @@ def test_a_spoilt_answer_is_told_as_it_went_out_and_the_next_one_whole(fault, sp
     assert told[-1].function == 3
 
 
-def test_an_answer_that_is_kept_back_is_told_when_it_is_sent(stage: Lan) -> None:
+def test_an_answer_that_is_kept_back_is_told_when_it_is_sent(lan: Lan) -> None:
     told: list[Traced] = []
     server = Server(
         {17: made_device()}, faults={17: [Fault("delay", seconds=10)]}, trace=told.append
     )
-    with server.background("tcp://10.0.0.1:0") as running, stage.talk(running.urls[0]) as talker:
+    with server.background("tcp://10.0.0.1:0") as running, lan.client(running.urls[0]) as talker:
         talker.send(READ + READ)
-        stage.pass_time(5)
+        lan.pass_time(5)
         assert [each.direction for each in told] == ["received"] * 2
-        stage.pass_time(10)
+        lan.pass_time(10)
         assert [each.direction for each in told] == ["received"] * 2 + ["sent"]
 
 

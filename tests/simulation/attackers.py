@@ -1,7 +1,7 @@
 """
-The attacks of `tests.support.attacks` on a stage, and an innocent client that counts turns.
+The attacks of `tests.support.attacks` on a LAN, and an innocent client that counts turns.
 
-Nothing takes time on a stage but the network. So what others cost a client is counted in turns of
+Nothing takes time on a LAN but the network. So what others cost a client is counted in turns of
 the server's loop and in requests, from the arrival of its request to the answer.
 """
 
@@ -23,10 +23,10 @@ PERIOD = 0.001
 class Attackers:
     """All connections of an attack, each from a host of its own, until it is left."""
 
-    def __init__(self, stage: Lan, attack: Attack, url: str) -> None:
+    def __init__(self, lan: Lan, attack: Attack, url: str) -> None:
         self.attack: Attack = attack
         self.connected = self.sent = self.received = 0
-        self.stage: Lan = stage
+        self.lan: Lan = lan
         self.is_over: bool = False
         endpoint = parse(url)
         self.target: tuple[str, int] = endpoint.host, endpoint.port
@@ -54,13 +54,13 @@ class _Attacker:
 
     def __init__(self, attackers: Attackers, number: int) -> None:
         self._all = attackers
-        self._stage = attackers.stage
+        self._lan = attackers.lan
         self._source = f"10.1.{number // 250}.{1 + number % 250}"
 
     def begin(self) -> None:
         if self._all.is_over:
             return
-        connection, _ = self._stage.connect(*self._all.target, self._source)
+        connection, _ = self._lan.connect(*self._all.target, self._source)
         assert connection is not None
         self.end = connection
         self._script = self._all.attack.script()
@@ -71,7 +71,7 @@ class _Attacker:
         self._later(self._connected, 3 * DELAY)
 
     def _later(self, call: object, seconds: float = PERIOD) -> None:
-        self._stage.events.after(seconds, self._if_open, self.end, call)
+        self._lan.events.after(seconds, self._if_open, self.end, call)
 
     def _if_open(self, end: MemorySocket, call: object) -> None:
         if end is self.end and not end.is_closed and callable(call):
@@ -120,7 +120,7 @@ class _Attacker:
 
     def _begin_again(self) -> None:
         self.end.close()
-        self._stage.events.after(PERIOD, self.begin)
+        self._lan.events.after(PERIOD, self.begin)
 
 
 @dataclass
@@ -138,8 +138,8 @@ class Innocent:
     FIRST = 1000
     VALUES = tuple(range(40_000, 40_010))
 
-    def __init__(self, stage: Lan, client: LanClient, count: Callable[[], int]) -> None:
-        self._stage = stage
+    def __init__(self, lan: Lan, client: LanClient, count: Callable[[], int]) -> None:
+        self._lan = lan
         self._client = client
         self._requests = count
         self._transaction = 0
@@ -162,13 +162,13 @@ class Innocent:
             now = self._requests()
             waited.longest, before = max(waited.longest, now - before), now
 
-        self._stage.call_each_turn(note_turn)
+        self._lan.call_each_turn(note_turn)
         for _ in range(requests):
             if among is not None:
                 count = among.sent
                 # One second, or what a moment is to those who send nothing.
                 most = 1 if among.attack.sends else PERIOD
-                self._stage.until(lambda: among.sent > count, most)  # noqa: B023
+                self._lan.until(lambda: among.sent > count, most)  # noqa: B023
             self._ask(waited)
         return waited
 
@@ -176,13 +176,13 @@ class Innocent:
         self._transaction = (self._transaction + 1) & 0xFFFF
         answer = adu(self._answer, self._transaction, UNIT)
         self._client.sendall(adu(self._request, self._transaction, UNIT))
-        self._stage.events.after(DELAY, self._note_arrival)
+        self._lan.events.after(DELAY, self._note_arrival)
         assert self._client.receive(len(answer)) == answer
         waited.turns.append(self._answered[0] - self._arrived[0])
         waited.others.append(self._answered[1] - self._arrived[1] - 1)
 
     def _count(self) -> tuple[int, int]:
-        return self._stage.turns, self._requests()
+        return self._lan.turns, self._requests()
 
     def _note_arrival(self) -> None:
         self._arrived = self._count()

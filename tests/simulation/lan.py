@@ -125,7 +125,7 @@ class Lan(Network):
         else:
             self.wait(entered.__aexit__(None, None, None))
 
-    def talk(
+    def client(
         self, target: str | int, source: str | None = None, *, timeout: float = PATIENCE
     ) -> LanClient:
         """
@@ -145,29 +145,29 @@ class Lan(Network):
 
 
 class _LanWaker(MemoryWaker):
-    """Waits in the loop of the stage, so that servers answer meanwhile."""
+    """Waits in the loop of the LAN, so that servers answer meanwhile."""
 
-    def __init__(self, stage: Lan) -> None:
-        super().__init__(stage.events, stage.descriptors)
-        self._stage = stage
+    def __init__(self, lan: Lan) -> None:
+        super().__init__(lan.events, lan.descriptors)
+        self._lan = lan
 
     def _wait(self, descriptor: int, events: int, most: int) -> bool:
-        self._stage.until(lambda: self._is_woken or self._is_any(descriptor, events), most / 1000)
+        self._lan.until(lambda: self._is_woken or self._is_any(descriptor, events), most / 1000)
         if self._is_woken:
             raise Woken
         return self._is_any(descriptor, events)
 
     def _sleep(self, seconds: float) -> None:
-        self._stage.pass_time(max(0.0, seconds))
+        self._lan.pass_time(max(0.0, seconds))
 
 
 class LanClient:
     """A client that writes and reads what it likes, with the face of a blocking `socket.socket`."""
 
-    def __init__(self, stage: Lan, end: MemorySocket, timeout: float) -> None:
+    def __init__(self, lan: Lan, end: MemorySocket, timeout: float) -> None:
         self.end: MemorySocket = end
         self.timeout: float = timeout
-        self._stage = stage
+        self._lan = lan
         self._resets = False
 
     def __enter__(self) -> Self:
@@ -186,7 +186,7 @@ class LanClient:
             view = view[self.send(bytes(view)) :]
 
     def recv(self, size: int, flags: int = 0) -> bytes:
-        if not self._stage.until(lambda: self.end.is_readable, self.timeout):
+        if not self._lan.until(lambda: self.end.is_readable, self.timeout):
             raise TimeoutError("timed out")
         return self.end.recv(size, flags)
 
@@ -203,7 +203,7 @@ class LanClient:
 
     def can_write(self) -> bool:
         """Return True if the other side takes something now."""
-        return self.end.fileno() in self._stage.descriptors.writable
+        return self.end.fileno() in self._lan.descriptors.writable
 
     def is_closed(self) -> bool:
         """Wait until the other side has closed; return False if bytes come in place of that."""
@@ -213,7 +213,7 @@ class LanClient:
             return True
 
     def wait_to_write(self) -> None:
-        if not self._stage.until(self.can_write, self.timeout):
+        if not self._lan.until(self.can_write, self.timeout):
             raise TimeoutError("timed out")
 
     def settimeout(self, seconds: float | None) -> None:

@@ -1,7 +1,7 @@
 """
 Attacks on a server, step by step, and a server that is a process of its own.
 
-On a stage `tests.simulation.attackers` carries them out, against processes `bench.attackers`.
+On a LAN `tests.simulation.attackers` carries them out, against processes `bench.attackers`.
 """
 
 import contextlib

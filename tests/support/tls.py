@@ -61,7 +61,7 @@ def context(
 
 class TlsClient:
     """
-    A connection. `source`: the address that it comes from; `stage`: where the server is, in place
+    A connection. `source`: the address that it comes from; `lan`: where the server is, in place
     of the system. `socket`: what the records go over; `tls`: the state of TLS.
     """
 
@@ -71,11 +71,9 @@ class TlsClient:
         context: ssl.SSLContext,
         session: ssl.SSLSession | None = None,
         source: str = "",
-        stage: Lan | None = None,
+        lan: Lan | None = None,
     ) -> None:
-        self.socket: Any = (
-            stage.talk(port, source or None) if stage else connect(port, source=source)
-        )
+        self.socket: Any = lan.client(port, source or None) if lan else connect(port, source=source)
         self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
         self.tls = context.wrap_bio(
             self._incoming, self._outgoing, server_hostname="localhost", session=session
@@ -154,24 +152,24 @@ class TlsClient:
             self.socket.sendall(data)
 
 
-def connected(stage: Lan, pki: Pki, port: int, version: ssl.TLSVersion | None = None) -> TlsClient:
-    """Return a client on the stage that the server trusts, after the handshake."""
+def connected(lan: Lan, pki: Pki, port: int, version: ssl.TLSVersion | None = None) -> TlsClient:
+    """Return a client on the LAN that the server trusts, after the handshake."""
     context_ = context(pki, certificates.client(), version)
-    return TlsClient(port, context_, stage=stage).handshake()
+    return TlsClient(port, context_, lan=lan).handshake()
 
 
 @contextlib.contextmanager
 def talking(
-    stage: Lan,
+    lan: Lan,
     pki: Pki,
     device: Device | None = None,
     version: ssl.TLSVersion | None = None,
     **options: Any,
 ) -> Iterator[tuple[Server, TlsClient]]:
-    """Serve on the stage; give the server and a client, after the handshake."""
+    """Serve on the LAN; give the server and a client, after the handshake."""
     with (
         serving(pki, device, **options) as (server, port),
-        connected(stage, pki, port, version) as client,
+        connected(lan, pki, port, version) as client,
     ):
         yield server, client
 
@@ -185,9 +183,9 @@ def hello(pki: Pki) -> bytes:
     return outgoing.read()
 
 
-def is_served(pki: Pki, port: int, stage: Lan | None = None) -> bool:
+def is_served(pki: Pki, port: int, lan: Lan | None = None) -> bool:
     context_ = context(pki, certificates.client())
-    with TlsClient(port, context_, stage=stage).handshake() as client:
+    with TlsClient(port, context_, lan=lan).handshake() as client:
         return client.is_answered()
 
 

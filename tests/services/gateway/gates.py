@@ -38,7 +38,7 @@ def small() -> Device:
 class Gate:
     """Unit 1 on the line behind a gateway, which answers from when it is opened on."""
 
-    def __init__(self, stage: Lan) -> None:
+    def __init__(self, lan: Lan) -> None:
         self.asked: list[int] = []
         self.kinds: list[str] = []
         self._device = Device(Mapping(10, 10, 10, 10))
@@ -46,7 +46,7 @@ class Gate:
         self._framer = framing.make_framer("rtu", "server")
         self._is_open = False
         self._held: list[tuple[bytes, Write]] = []
-        Scripted(stage, LINE, self._take)
+        Scripted(lan, LINE, self._take)
 
     def open(self) -> None:
         self._is_open = True
@@ -68,9 +68,9 @@ class Gate:
 
 
 @contextlib.contextmanager
-def gated(stage: Lan, route: dict[str, Any] | None = None, **options: Any) -> Iterator[Gated]:
+def gated(lan: Lan, route: dict[str, Any] | None = None, **options: Any) -> Iterator[Gated]:
     """A gateway before a gate, with its line and where clients find it."""
-    gate = Gate(stage)
+    gate = Gate(lan)
     routes = [Route(f"{LINE}?timeout=1000", **(route or {}))]
     gateway_ = Gateway(routes, longest_wait=5000, **options)
     with gateway_.background("tcp://10.0.0.1:0") as running:

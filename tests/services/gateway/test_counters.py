@@ -160,18 +160,18 @@ def answer(request: bytes, write: Write) -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_each_request_counts_once(stage: Lan, name, caplog) -> None:
+def test_each_request_counts_once(lan: Lan, name, caplog) -> None:
     case = CASES[name]
-    Scripted(stage, LINE, answer)
+    Scripted(lan, LINE, answer)
     options = {**case.options}
     route = Route(f"{LINE}?timeout=0.5", units="1-4", **options.pop("route", {}))
     gateway = Gateway([route], **options)
     caplog.set_level(logging.ERROR)
     answers: list[str] = []
-    with gateway.background("tcp://10.0.0.1:0") as running, stage.talk(running.urls[0]) as client:
+    with gateway.background("tcp://10.0.0.1:0") as running, lan.client(running.urls[0]) as client:
 
         def receive() -> None:
-            stage.pass_time(0.6 if not case.together else 10)
+            lan.pass_time(0.6 if not case.together else 10)
             while client.has_input():
                 head = client.receive(6)
                 answers.append(client.receive(head[5])[1:3].hex())

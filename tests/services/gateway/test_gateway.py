@@ -15,8 +15,8 @@ from tests.simulation.runner import simulated
 ONE, SEVEN = bytes.fromhex("03 02 0000"), bytes.fromhex("03 02 0007")
 
 
-def test_routes_change_and_connections_stay(stage: Lan) -> None:
-    stage.missing.add("/dev/nowhere")
+def test_routes_change_and_connections_stay(lan: Lan) -> None:
+    lan.missing.add("/dev/nowhere")
     with (
         Server({n: numbered(n) for n in (1, 2)}).background("tcp://10.0.0.9:0") as one,
         Server({n: numbered(10 + n) for n in (1, 2)}).background("tcp://10.0.0.9:0") as other,
@@ -30,12 +30,12 @@ def test_routes_change_and_connections_stay(stage: Lan) -> None:
         assert (ask(1), ask(2)) == (1, 12)
         connects = gateway_.traffic.lines[one.urls[0]].connection
         gateway_.change_routes([Route(one.urls[0], "1-2"), Route(other.urls[0], "3", "2")])
-        assert stage.until(lambda: ask(2) == 2)
+        assert lan.until(lambda: ask(2) == 2)
         assert (ask(1), ask(3)) == (1, 12)
         assert gateway_.traffic.lines[one.urls[0]].connection is connects
         assert connects.connects == 1
         gateway_.change_routes([Route(one.urls[0], "1")])
-        assert stage.until(lambda: list(gateway_.traffic.lines) == [one.urls[0]])
+        assert lan.until(lambda: list(gateway_.traffic.lines) == [one.urls[0]])
         with pytest.raises(GatewayPathUnavailable):
             ask(3)
         for bad in (
@@ -51,18 +51,18 @@ def test_routes_change_and_connections_stay(stage: Lan) -> None:
 
 
 @pytest.mark.parametrize("stays", [True, False])
-def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(stage: Lan, stays):
+def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(lan: Lan, stays):
     """A line stays if its URL does, whatever else of its routes changes."""
     with (
-        gated(stage) as (gate, _, url, gateway_),
-        stage.talk(url) as client,
-        stage.talk(url) as other,
+        gated(lan) as (gate, _, url, gateway_),
+        lan.client(url) as client,
+        lan.client(url) as other,
     ):
         client.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2))
-        assert stage.until(lambda: gate.asked)
+        assert lan.until(lambda: gate.asked)
         to = f"{LINE}?timeout={1000 if stays else 999}"
         gateway_.change_routes([Route(to, "5", "1", cache=1, merge=True)])
-        stage.pass_time(1)
+        lan.pass_time(1)
         if stays:
             gate.open()
             assert client.receive(22) == adu(ONE, 1) + adu(ONE, 2)
@@ -72,7 +72,7 @@ def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(st
             assert {answers[:9], answers[9:]} == refused
         other.sendall(adu(READ_ONE, 3, unit=1) + adu(pdu.ReadHoldingRegisters(7, 1).encode(), 4, 5))
         assert other.receive(9) == adu(b"\x83\x0a", 3)
-        stage.pass_time(1)
+        lan.pass_time(1)
         gate.open()  # the answer of a line that was replaced comes late
         assert other.receive(11) == adu(SEVEN, 4, unit=5)
         assert gate.asked == ([0, 0, 7] if stays else [0, 7])
@@ -97,18 +97,18 @@ def test_requests_of_a_client_that_sends_no_more_are_answered(scheme: str) -> No
         assert answers == b"".join(framer.encode(write) for write in writes)
 
 
-def test_closing_it_in_the_middle_leaves_nothing(stage: Lan) -> None:
-    """The stage fails the test for a task or an exception that is left."""
+def test_closing_it_in_the_middle_leaves_nothing(lan: Lan) -> None:
+    """The LAN fails the test for a task or an exception that is left."""
     slow = {1: [Fault("delay", seconds=500)]}
     server = Server({1: small()}, faults=slow)
     with server.background("tcp://10.0.0.9:0") as behind:
         for _ in range(3):
             with gateway([Route(behind.urls[0])]) as (_, url):
-                client = stage.talk(url)
+                client = lan.client(url)
                 client.sendall(adu(READ_ONE) * 8)
-                stage.pass_time(0.05)
+                lan.pass_time(0.05)
             assert client.is_closed()
-        stage.pass_time(501)
+        lan.pass_time(501)
         assert server.statistics.connections == 0
 
 

@@ -18,10 +18,10 @@ from tests.support.gateways import passage
 from tests.support.interop import UNIT, make_device
 
 
-def test_read_only_is_read_only(stage: Lan) -> None:
+def test_read_only_is_read_only(lan: Lan) -> None:
     device = make_device()
     with (
-        passage("tcp", "rtu", {UNIT: device}, route={"read_only": True}, stage=stage) as through,
+        passage("tcp", "rtu", {UNIT: device}, route={"read_only": True}, lan=lan) as through,
         through.context() as context,
     ):
         assert context.read_holding_registers(100, 2) == [1100, 1101]
@@ -47,9 +47,9 @@ def test_read_only_is_read_only(stage: Lan) -> None:
         assert through.gateway.traffic.refused == 11
 
 
-def test_only_writes_that_a_rule_allows_are_executed(stage: Lan) -> None:
+def test_only_writes_that_a_rule_allows_are_executed(lan: Lan) -> None:
     route = {"writable": ["coils", Access("holding_registers", 110, 10)]}
-    with passage("tcp", "rtu", route=route, stage=stage) as through, through.context() as context:
+    with passage("tcp", "rtu", route=route, lan=lan) as through, through.context() as context:
         context.write_coil(10, False)
         context.write_registers(110, range(10))
         context.read_write_registers(100, 5, 115, [1])
@@ -61,7 +61,7 @@ def test_only_writes_that_a_rule_allows_are_executed(stage: Lan) -> None:
         assert context.read_holding_registers(109, 3) == [1109, 0, 1]
 
 
-def test_a_cached_answer_is_refused_to_those_who_may_not_read_it(stage: Lan) -> None:
+def test_a_cached_answer_is_refused_to_those_who_may_not_read_it(lan: Lan) -> None:
     with (
         passage(
             "tcp",
@@ -69,10 +69,10 @@ def test_a_cached_answer_is_refused_to_those_who_may_not_read_it(stage: Lan) -> 
             {1: small()},
             route={"cache": 60},
             authorize=lambda question: question.peer.startswith("10.0.0.2:"),
-            stage=stage,
+            lan=lan,
         ) as through,
-        stage.talk(through.url, "10.0.0.2") as one,
-        stage.talk(through.url, "10.0.0.3") as other,
+        lan.client(through.url, "10.0.0.2") as one,
+        lan.client(through.url, "10.0.0.3") as other,
     ):
         for client, answer in ((one, "03 02 0000"), (other, "83 01"), (one, "03 02 0000")):
             client.sendall(adu(READ_ONE))

@@ -27,8 +27,8 @@ SIDES = [(front, back) for front in FRONTS for back in FRONTS]
 
 
 @pytest.mark.parametrize(("front", "back"), SIDES, ids=["-".join(sides) for sides in SIDES])
-def test_any_function_goes_from_any_side_to_any(stage: Lan, front: str, back: str) -> None:
-    with passage(front, back, stage=stage) as through, through.context() as context:
+def test_any_function_goes_from_any_side_to_any(lan: Lan, front: str, back: str) -> None:
+    with passage(front, back, lan=lan) as through, through.context() as context:
         every_function(context)
 
 
@@ -55,7 +55,7 @@ def every_function(context: Client) -> None:
         context.execute(pdu.EncapsulatedTransport(13, b"abc"))
 
 
-def test_functions_that_nobody_knows_go_through_as_bytes(stage: Lan) -> None:
+def test_functions_that_nobody_knows_go_through_as_bytes(lan: Lan) -> None:
     """On a line between, their ends are found by the CRC."""
 
     @pdu.register
@@ -68,7 +68,7 @@ def test_functions_that_nobody_knows_go_through_as_bytes(stage: Lan) -> None:
     try:
         for front, back in (("tcp", "rtu"), ("rtu", "tcp"), ("udp", "ascii"), ("ascii", "rtu+tcp")):
             with (
-                passage(front, back, {1: device}, stage=stage) as through,
+                passage(front, back, {1: device}, lan=lan) as through,
                 through.context(1) as context,
             ):
                 assert context.execute(pdu.RawRequest(101, b"abc")) == b"cba"

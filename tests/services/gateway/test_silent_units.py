@@ -32,7 +32,7 @@ def value(unit: int, address: int) -> int:
     return (unit * 10_000 + address) & 0xFFFF
 
 
-def test_late_answers_are_never_anybody_elses(stage: Lan) -> None:
+def test_late_answers_are_never_anybody_elses(lan: Lan) -> None:
     """A unit whose every third answer comes after its timeout, and good ones beside it."""
     framer = framing.make_framer("rtu", "server")
     counts: Counter[int] = Counter()
@@ -44,7 +44,7 @@ def test_late_answers_are_never_anybody_elses(stage: Lan) -> None:
         pdu = b"\3\2" + value(unit, address).to_bytes(2, "big")
         write(framer.encode(framing.Frame(unit, pdu)), after=0.6 if is_late else 0.0)
 
-    Scripted(stage, LINE, answer)
+    Scripted(lan, LINE, answer)
 
     async def poll(client: AsyncClient, unit: int, first: int) -> tuple[int, int]:
         right = failed = 0
@@ -65,17 +65,17 @@ def test_late_answers_are_never_anybody_elses(stage: Lan) -> None:
                 jobs = [poll(one, 1, 0), poll(one, 2, 300), poll(other, 3, 500), poll(other, 2, 7)]
                 return await asyncio.gather(*jobs)
 
-        results = stage.wait(all_of_them())
+        results = lan.wait(all_of_them())
         assert [right for right, _ in results[::2]] == [60, 60]
         assert sum(failed for _, failed in results[1::2]) > 0
         (line,) = gateway_.traffic.lines.values()
         assert line.units[2].answers > 0
-        stage.pass_time(1)
+        lan.pass_time(1)
         assert line.connection.late_answers > 0
 
 
 def test_a_client_without_ids_that_asks_again_gets_the_answer_to_the_second_request_only(
-    stage: Lan,
+    lan: Lan,
 ) -> None:
     """It has given up the first request: the answer to that would be taken for the second's."""
     device = small()
@@ -84,9 +84,9 @@ def test_a_client_without_ids_that_asks_again_gets_the_answer_to_the_second_requ
     options = "timeout=5&max_in_flight=2"
     with (
         passage(
-            "rtu+tcp", "tcp", {1: device}, faults=slow, line_options=options, stage=stage
+            "rtu+tcp", "tcp", {1: device}, faults=slow, line_options=options, lan=lan
         ) as through,
-        stage.talk(through.url) as client,
+        lan.client(through.url) as client,
     ):
         framer = framing.make_framer("rtu", "server")
         first, second = (
@@ -94,10 +94,10 @@ def test_a_client_without_ids_that_asks_again_gets_the_answer_to_the_second_requ
             for at in (3, 4)
         )
         client.sendall(first)
-        stage.pass_time(0.05)
+        lan.pass_time(0.05)
         client.sendall(second)
         assert client.receive(7)[3:5] == b"\0\4"
-        stage.pass_time(3000)
+        lan.pass_time(3000)
         assert not client.has_input()
         (line,) = through.gateway.traffic.lines.values()
         assert line.unwanted == 1

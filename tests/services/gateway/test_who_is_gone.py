@@ -101,18 +101,18 @@ def test_a_trial_that_waits_for_the_connection_is_not_sent(url: str) -> None:
 
 
 @pytest.mark.parametrize(("scheme", "is_sent"), [("tcp", False), ("rtu+tcp", True)])
-def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(stage: Lan, scheme, is_sent):
+def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(lan: Lan, scheme, is_sent):
     """On a serial line nobody waits for a broadcast."""
-    peer = Scripted(stage, LINE, lambda request, write: None)
+    peer = Scripted(lan, LINE, lambda request, write: None)
     route = Route(f"{LINE}?connect_delay={CONNECT_DELAY}")
     write = bytes.fromhex(WRITE)
     frame = adu(write, unit=0) if scheme == "tcp" else rtu((b"\0" + write).hex())
     with gateway([route], f"{scheme}://10.0.0.1:0") as (_, url):
-        client = stage.talk(url, "10.0.0.2")
+        client = lan.client(url, "10.0.0.2")
         client.sendall(frame)
-        stage.pass_time(CONNECT_DELAY / 2)
+        lan.pass_time(CONNECT_DELAY / 2)
         client.reset()
-        stage.pass_time(2 * CONNECT_DELAY)
+        lan.pass_time(2 * CONNECT_DELAY)
         assert len(peer.requests) == is_sent
 
 

@@ -24,9 +24,9 @@ def make_device() -> Device:
 
 @contextmanager
 def serving(
-    stage: Lan, scheme: str, *faults: Fault, of: int | None = 1, **devices: Any
+    lan: Lan, scheme: str, *faults: Fault, of: int | None = 1, **devices: Any
 ) -> Iterator[str]:
-    """Serve units 1 and 2 on a stage, of which one or all have faults; yield a URL for clients."""
+    """Serve units 1 and 2 on a LAN, of which one or all have faults; yield a URL for clients."""
     units = devices.get("units") or {1: make_device(), 2: make_device()}
     place = "tcp://10.0.0.1:0" if scheme.endswith("tcp") else "x:///dev/line?baudrate=115200"
     with Server(units, faults={of: faults}).background(

@@ -101,16 +101,16 @@ def blocks(client: LanClient, requests: bytes) -> bool:
         (Fault("delay", every=50, seconds=0.001), b"\x03\0\0\0\x08"),
     ],
 )
-def test_a_client_that_gets_no_more_answers_is_not_read(stage: Lan, fault, request_) -> None:
-    with serving(stage, "tcp", fault) as url, stage.talk(url) as flood:
+def test_a_client_that_gets_no_more_answers_is_not_read(lan: Lan, fault, request_) -> None:
+    with serving(lan, "tcp", fault) as url, lan.client(url) as flood:
         assert blocks(flood, adu(request_) * 10_000)
 
 
 @pytest.mark.parametrize("length", [None, 5, 512])
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
-def test_a_fault_sends_its_part_before_it_closes_the_connection(stage: Lan, scheme, length):
+def test_a_fault_sends_its_part_before_it_closes_the_connection(lan: Lan, scheme, length):
     fault = Fault("disconnect", function=3, length=length)
-    with serving(stage, scheme, fault) as url, stage.talk(url) as connection:
+    with serving(lan, scheme, fault) as url, lan.client(url) as connection:
         if scheme == "tcp":
             connection.sendall(adu(b"\x01\0\0\0\x01", 7) + adu(READ, 8))
             before, answer = adu(b"\x01\x01\0", 7), adu(b"\x03\x02\x02\x2b", 8)
@@ -121,11 +121,11 @@ def test_a_fault_sends_its_part_before_it_closes_the_connection(stage: Lan, sche
         assert connection.receive(100) == before + answer[: length or 0]
 
 
-def test_a_request_behind_one_that_closes_the_connection_is_not_executed(stage: Lan) -> None:
+def test_a_request_behind_one_that_closes_the_connection_is_not_executed(lan: Lan) -> None:
     units = {1: make_device(), 2: make_device()}
     write = b"\x06\0\x01\0\x09"
     fault = Fault("disconnect", function=3)
-    with serving(stage, "tcp", fault, units=units) as url, stage.talk(url) as connection:
+    with serving(lan, "tcp", fault, units=units) as url, lan.client(url) as connection:
         requests = adu(write.replace(b"\1", b"\0")) + adu(READ) + adu(write) + adu(write, 1, 2)
         connection.sendall(requests)
         assert connection.receive(100) == adu(b"\x06\0\0\0\x09")
@@ -136,22 +136,22 @@ def test_a_request_behind_one_that_closes_the_connection_is_not_executed(stage: 
     assert units[2].mapping.holding_registers[1] == 0
 
 
-def test_a_disconnect_comes_after_answers_that_are_kept_back(stage: Lan) -> None:
+def test_a_disconnect_comes_after_answers_that_are_kept_back(lan: Lan) -> None:
     faults = [Fault("delay", function=1, seconds=100), Fault("disconnect", function=3, length=512)]
-    with serving(stage, "tcp", *faults) as url, stage.talk(url) as connection:
+    with serving(lan, "tcp", *faults) as url, lan.client(url) as connection:
         connection.sendall(adu(b"\x01\0\0\0\x01", 1) + adu(READ, 2) + adu(READ, 3))
         answers = adu(b"\x01\x01\0", 1) + adu(b"\x03\x02\x02\x2b", 2)
         assert connection.receive(100) == answers
 
 
-def test_garbage_and_disconnects_of_datagrams(stage: Lan) -> None:
+def test_garbage_and_disconnects_of_datagrams(lan: Lan) -> None:
     faults = [
         Fault("garbage", function=3, data=b"\xaa", place="behind"),
         Fault("disconnect", function=1, length=4),
     ]
     device = make_device()
     with Server(device, faults={1: faults}).background("udp://10.0.0.1:0") as running:
-        datagrams = stage.talk(running.urls[0])
+        datagrams = lan.client(running.urls[0])
         datagrams.send(adu(READ, 5))
         assert datagrams.recv(100) == adu(b"\x03\x02\x02\x2b", 5) + b"\xaa"
         datagrams.send(adu(b"\x01\0\0\0\x01", 6))

@@ -105,7 +105,7 @@ async def publish(broker: Broker, topic: str, payload: bytes, *, retain: bool = 
         await client.publish(topic, payload, 1, retain)
 
 
-def loads(payload: Any) -> Any:
+def content(payload: Any) -> Any:
     """Return a state, the value of a reading, or the values of a poll by name."""
     if isinstance(payload, str):
         return payload

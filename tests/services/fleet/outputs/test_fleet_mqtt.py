@@ -22,7 +22,6 @@ from tests.services.fleet.outputs.brokers import (
     Broker,
     commanded,
     hearing,
-    loads,
     publish,
     values_of,
 )
@@ -213,13 +212,13 @@ async def test_a_retained_message_has_the_last_values_of_all_points(broker: Brok
         offline = Reading(103.0, "a", "x", None, "V", "offline")
         async with hearing(broker, "plant/+") as messages:
             await until(lambda: messages)
-            assert loads(messages[-1][1]) == {"x": 1, "y": 3, "z": 4}
+            assert content(messages[-1][1]) == {"x": 1, "y": 3, "z": 4}
             await written(pump, [offline])
             await until(lambda: len(messages) == 2)
-            assert loads(messages[-1][1]) == {"x": None, "y": 3, "z": 4}
+            assert content(messages[-1][1]) == {"x": None, "y": 3, "z": 4}
             await written(pump, poll("a", 4, y=5))
             await until(lambda: len(messages) == 3)
-            assert loads(messages[-1][1]) == {"y": 5, "z": 4}
+            assert content(messages[-1][1]) == {"y": 5, "z": 4}
 
 
 async def test_polls_above_the_largest_message_are_several(broker: Broker) -> None:

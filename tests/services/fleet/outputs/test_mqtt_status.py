@@ -15,7 +15,7 @@ from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.mqtt import DeviceStates, Mqtt
 from libmodbus_py.services.fleet.outputs.topics import Topic
 from tests.services.fleet.fleets import until
-from tests.services.fleet.outputs.brokers import Broker, hearing, loads, publish, values_of
+from tests.services.fleet.outputs.brokers import Broker, content, hearing, publish, values_of
 from tests.support.cases import each_case
 from tests.support.outputs import pumping
 
@@ -146,7 +146,9 @@ async def test_retained_messages_are_published_again_after_each_reconnection(
     async def heard_later() -> dict[str, tuple[Any, bool]]:
         async with hearing(broker, "#") as messages:
             await until(lambda: retained.keys() <= {topic for topic, *_ in messages})
-        values = {topic: (loads(payload), is_retained) for topic, payload, is_retained in messages}
+        values = {
+            topic: (content(payload), is_retained) for topic, payload, is_retained in messages
+        }
         return {topic: values[topic] for topic in retained}
 
     async with pumping(Mqtt(broker.url, qos=qos, **options)) as pump:
