@@ -21,6 +21,7 @@ from tests.services.fleet.fleets import meter, real_peer, until
 from tests.services.fleet.outputs.brokers import (
     Broker,
     commanded,
+    content,
     hearing,
     publish,
     values_of,
