@@ -91,17 +91,17 @@ def test_a_pause(options: dict[str, Any]) -> None:
 @each_case("order", ["as given", "reverse", "random"])
 def test_many_that_wait_cost_few_steps_each(url, order, monkeypatch) -> None:
     """Comparisons of requests are counted: removed one by one from a list, millions."""
-    talk, compared = Driver(url, max_in_flight=1), 0
+    driver, compared = Driver(url, max_in_flight=1), 0
 
     def equal(one: object, other: object) -> bool:
         nonlocal compared
         compared += 1
         return one is other
 
-    present = talk.ask(1)
-    batches = [talk.batch(2) for _ in range(3000)]
+    present = driver.ask(1)
+    batches = [driver.batch(2) for _ in range(3000)]
     for batch in batches:
-        talk.connection.submit(batch, 0.0)
+        driver.connection.submit(batch, 0.0)
     if order == "reverse":
         batches.reverse()
     elif order == "random":
@@ -110,13 +110,13 @@ def test_many_that_wait_cost_few_steps_each(url, order, monkeypatch) -> None:
     monkeypatch.setattr(Call, "__eq__", equal)
     monkeypatch.setattr(Call, "__hash__", object.__hash__)
     for batch in batches:
-        talk.connection.withdraw(batch, 0.0)
+        driver.connection.withdraw(batch, 0.0)
     assert compared < 30_000
-    assert len(talk.connection.queue.waiting) <= 2
-    talk.come(answer(talk))
-    talk.come(answer(talk))
+    assert len(driver.connection.queue.waiting) <= 2
+    driver.come(answer(driver))
+    driver.come(answer(driver))
     assert (present.outcomes, last.outcomes) == ([[1]], [[2]])
-    assert talk.is_at_rest
+    assert driver.is_at_rest
 
 
 def test_a_batch_among_others() -> None:

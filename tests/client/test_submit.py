@@ -162,8 +162,8 @@ def test_those_that_wait_are_not_sent_once_it_is_over(options: Any, sent: int) -
 
 def test_false_is_no_mistake_and_all_but_true_and_false_is(caplog) -> None:
     for allowed in (False, True):
-        talk = Driver(may_send=lambda allowed=allowed: allowed)
-        assert talk.ask(1).is_done is not allowed
+        driver = Driver(may_send=lambda allowed=allowed: allowed)
+        assert driver.ask(1).is_done is not allowed
         assert caplog.records == []
     for mistake in (lambda: 1, lambda: 0, lambda: None, lambda: "yes", lambda: 1 / 0 > 0):
         (outcome,) = Driver(may_send=mistake).ask(1).outcomes
