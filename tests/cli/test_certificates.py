@@ -48,7 +48,7 @@ def test_it_makes_an_authority_a_server_and_clients(tmp_path: Path) -> None:
         load(directory / f"{name}.pem").verify_directly_issued_by(ca)
 
 
-def test_options(tmp_path: Path) -> None:
+def test_options_set_hosts_days_and_roles(tmp_path: Path) -> None:
     result = made(
         tmp_path,
         *("--host", "plc.example", "--host", "192.0.2.7", "--days", "7"),
@@ -248,7 +248,7 @@ def test_machines_get_renewed_authorities_and_lists(tmp_path: Path) -> None:
         (("server", "--list"), "--list takes neither MACHINE"),
     ],
 )
-def test_wrong_words_change_nothing(tmp_path: Path, words: tuple[str, ...], reason: str) -> None:
+def test_wrong_words_change_no_file(tmp_path: Path, words: tuple[str, ...], reason: str) -> None:
     if not (tmp_path / "ca.pem").exists():
         made(tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}

@@ -41,7 +41,7 @@ def shell(place: Path, command: list[str]) -> subprocess.CompletedProcess[str]:
         ("libmodbus-py completion ", {"bash", "zsh", "fish"}),
     ],
 )
-def test_bash(place: Path, line: str, names: set[str]) -> None:
+def test_bash_completes_words(place: Path, line: str, names: set[str]) -> None:
     words = " ".join(f"'{word}'" for word in line.split(" "))
     script = (
         'eval "$(libmodbus-py completion bash)"\n'
@@ -56,14 +56,14 @@ def test_bash(place: Path, line: str, names: set[str]) -> None:
 
 
 @pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
-def test_fish(place: Path) -> None:
+def test_fish_completes_commands(place: Path) -> None:
     script = "libmodbus-py completion fish | source; complete -C 'libmodbus-py dia'"
     result = shell(place, ["fish", "--no-config", "-c", script])
     assert [line.partition("\t")[0] for line in result.stdout.splitlines()] == ["diagnose"]
 
 
 @pytest.mark.skipif(shutil.which("zsh") is None, reason="zsh is not installed")
-def test_zsh_takes_the_script(place: Path) -> None:
+def test_zsh_runs_the_script(place: Path) -> None:
     script = 'autoload -U compinit; compinit -D; eval "$(libmodbus-py completion zsh)"'
     script += "; echo $_comps[libmodbus-py]"
     result = shell(place, ["zsh", "-f", "-c", script])
@@ -95,7 +95,7 @@ def test_without_argcomplete_it_says_what_to_install() -> None:
         ("map list --search sdm1", ["sdm120"]),
     ],
 )
-def test_quotes_and_spaces(place: Path, line: str, words: list[str]) -> None:
+def test_quotes_and_spaces_are_completed(place: Path, line: str, words: list[str]) -> None:
     names = ["Leistung L1", "spannung's", "$x"]
     rows = "".join(f"{name},holding,{at}\n" for at, name in enumerate(names))
     (place / "my meter.csv").write_text(f"name,table,address\n{rows}")
@@ -162,7 +162,7 @@ def completed(line: str, folder: Path, **shell: str) -> str:
 
 
 @pytest.mark.parametrize(("line", "words"), LINES)
-def test_answers_to_bash(place: Path, line: str, words: set[str]) -> None:
+def test_bash_gets_arguments(place: Path, line: str, words: set[str]) -> None:
     answer = completed(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="bash")
     assert {each.strip() for each in answer.split("\013")} - {"--help", ""} == words
 

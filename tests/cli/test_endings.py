@@ -36,7 +36,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "number", "code"), CASES)
-def test_a_signal_ends_it(tmp_path: Path, device: str, name: str, number: int, code: int) -> None:
+def test_a_signal_ends_all(tmp_path: Path, device: str, name: str, number: int, code: int) -> None:
     (tmp_path / "fleet.toml").write_text(FLEET.format(url=device))
     arguments = [each.format(url=device, folder=tmp_path) for each in COMMANDS[name][0]]
     with subprocess.Popen(
@@ -137,7 +137,7 @@ def test_silence_points_to_scan(words: list[object]) -> None:
                                  " units that answer")  # fmt: skip
 
 
-def test_other_failures_do_not() -> None:
+def test_other_failures_do_not_point_to_scan() -> None:
     with ServerMaker() as maker:
         url = maker(devices=Device(Mapping(holding_registers=2))).url
         for words in (["read", url, "hr", 7], ["write", url, "hr", 7, 1]):
@@ -145,7 +145,7 @@ def test_other_failures_do_not() -> None:
     assert "scan" not in run("read", "127.0.0.1:1", "hr", 0).err
 
 
-def test_tls_at_a_server_without(tmp_path: Path) -> None:
+def test_tls_at_a_server_without_it_is_one_line(tmp_path: Path) -> None:
     assert run("certificates", tmp_path).code == 0
     pki = ["--cert", tmp_path / "operator.pem", "--key", tmp_path / "operator-key.pem"]
     with FakeServer(None) as server:

@@ -57,13 +57,13 @@ def fails(code: int, *arguments: str, **environment: str) -> str:
 GOOD = "0  555\n    1    7\n"
 
 
-def test_reading_with_certificates(url: str, own: list[str], pki: Pki) -> None:
+def test_a_client_with_a_certificate_reads(url: str, own: list[str], pki: Pki) -> None:
     assert read(url, *own).endswith(GOOD)
     assert read(url, *own, "--server-name", "localhost").endswith(GOOD)
     assert read(pki.url(url, certificates.client())).endswith(GOOD)
 
 
-def test_pins_may_be_repeated(url: str, own: list[str], pki: Pki) -> None:
+def test_one_of_several_pins_is_enough(url: str, own: list[str], pki: Pki) -> None:
     digest = hashlib.sha256(certificates.server().der).hexdigest()
     assert read(url, *own[:4], "--pin", str(pki.ca), "--pin", digest).endswith(GOOD)
     text = fails(1, "read", url, "holding", "0", *own[:4], "--pin", str(pki.ca))

@@ -73,13 +73,13 @@ def test_a_read_brings_a_blocking_client() -> None:
     assert not modules & {"libmodbus_py.protocol.values", "libmodbus_py.protocol.value_types"}
 
 
-def test_version() -> None:
+def test_the_option_version_prints_the_version() -> None:
     result = run_to_end(*PROGRAM, "--version")
     assert result.stdout == "libmodbus-py 0.1.0\n"
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
-def test_closed_streams_hurt_nobody(closed: str) -> None:
+def test_closed_streams_are_no_error(closed: str) -> None:
     line = f"'{sys.executable}' -m libmodbus_py --version {closed}"
     result = run_to_end("sh", "-c", line)
     assert result.returncode == 0

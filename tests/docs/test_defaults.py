@@ -52,7 +52,7 @@ def test_help_lists_every_option_with_its_default(client: Any, options: Any, usu
 
 
 @each_case("name", [*ROWS])
-def test_the_row_of_an_option(name: str) -> None:
+def test_an_option_accepts_its_default_and_its_range(name: str) -> None:
     """Its text names the range, and it accepts its default."""
     row = ROWS[name]
     row.check(name, row.default)

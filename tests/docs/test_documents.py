@@ -86,7 +86,7 @@ EXTRAS = re.compile(r"(?:libmodbus-py|'\.)\[([\w,]+)\]")
 
 
 @each_case("path", DOCUMENTS, ids=NAMES)
-def test_extras_exist(path: Path) -> None:
+def test_extras_that_documents_name_exist(path: Path) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = {extra for names in EXTRAS.findall(path.read_text()) for extra in names.split(",")}
     assert extras <= project["optional-dependencies"].keys()
@@ -126,7 +126,7 @@ def links_of(text: str) -> list[str]:
 
 
 @each_case("path", PAGES)
-def test_links_lead_somewhere(path: Path) -> None:
+def test_links_lead_to_files_and_headings_that_exist(path: Path) -> None:
     for link in links_of(path.read_text()):
         if re.match(r"\w+:", link):
             continue

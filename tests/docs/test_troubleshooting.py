@@ -111,7 +111,7 @@ def test_each_message_of_the_page_is_tried_here() -> None:
     ("scheme", "message", "came"),
     [("rtu", *case) for case in RTU.items()] + [("ascii", *case) for case in ASCII.items()],
 )
-def test_on_a_serial_line(scheme: str, message: str, came: Came) -> None:
+def test_errors_on_a_line_are_those_of_the_page(scheme: str, message: str, came: Came) -> None:
     with FakeUnit(lambda request: [came(request)]) as unit:
         assert ends_so(message, said(f"{scheme}://{unit.path}"))
 
@@ -122,7 +122,7 @@ def test_on_a_serial_line(scheme: str, message: str, came: Came) -> None:
     + [("rtu+tcp", *case) for case in LINE.items()]
     + [("tcp", "no answer within 0.3 s", lambda request: b"")],
 )
-def test_on_a_network(scheme: str, message: str, came: Came | None) -> None:
+def test_network_errors_are_those_of_the_page(scheme: str, message: str, came: Came | None) -> None:
     with FakeServer(came and (lambda request: [came(request)])) as server:
         assert ends_so(message, said(f"{scheme}://127.0.0.1:{server.port}"))
 
@@ -141,7 +141,7 @@ def port(path: str, number: int) -> str:
     return message.replace("/dev/ttyUSB0", path)
 
 
-def test_ports_that_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_of_ports_are_those_of_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
     assert ends_so(port("/dev/no-such-port", 0), said("rtu:///dev/no-such-port"))
     assert ends_so(port("/dev/null", 4), said("rtu:///dev/null"))
     with FakeUnit(lambda request: []) as unit:
@@ -169,7 +169,7 @@ def test_ports_that_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
         assert ends_so(port(unit.path, 1), text)
 
 
-def test_hosts_that_cannot_be_reached(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_of_hosts_are_those_of_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
     with ExitStack() as stack:
         assert ends_so("Connection refused", said(url_of(stack.enter_context(refusing()))))
         assert ends_so(

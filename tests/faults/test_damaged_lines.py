@@ -49,7 +49,7 @@ def frames(framing: Framing, vector: FrameVector, pieces: list[bytes]) -> list[F
     return [each for each in events if isinstance(each, Frame)]
 
 
-def test_nothing_happens_unless_armed() -> None:
+def test_an_injector_that_is_off_changes_nothing() -> None:
     numbers = iter(range(100))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(BadLine, "arm", lambda *_: None)

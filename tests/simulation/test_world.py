@@ -22,7 +22,7 @@ QUICK = [scenario for scenario in SCENARIOS if scenario != "plant"]
 
 @pytest.mark.parametrize("scenario", QUICK)
 @pytest.mark.parametrize("seed", range(3))
-def test_no_rule_is_broken(scenario: str, seed: int) -> None:
+def test_every_scenario_keeps_the_rules(scenario: str, seed: int) -> None:
     play(replace(options_of(seed), scenario=scenario, seconds=20.0))
 
 

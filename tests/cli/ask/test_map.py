@@ -63,7 +63,7 @@ def test_a_skeleton_of_very_much_has_ranges(tmp_path: Path) -> None:
     ]
 
 
-def test_nobody_there(url: str, tmp_path: Path) -> None:
+def test_a_silent_unit_gives_no_map(url: str, tmp_path: Path) -> None:
     file = tmp_path / "found.csv"
     result = mapped("from-device", url, "--unit", "9", "-o", file, code=1)
     assert result.err == "libmodbus-py: no table can be read: the unit does not answer any more\n"

@@ -57,7 +57,7 @@ def test_ranges_take_as_many_requests_as_they_must(url: str) -> None:
     assert lengths == [120, 120, 120, 40]
 
 
-def test_longest_lists_of_values(url: str) -> None:
+def test_the_longest_lists_of_values_are_written_and_read(url: str) -> None:
     values = [str(number) for number in range(61)]
     assert run("write", url, "holding", "300", *values, "--type", "float32").code == 0
     result = run("read", url, "holding", "300", "62", "--type", "float32", "--json")
@@ -121,7 +121,7 @@ NO = IllegalFunction()
 
 @each_case("error", [SILENCE, CLOSED, NO, ExceptionResponse(code=200)])
 @each_case("at", [0, 1, 2])
-def test_the_others_are_shown(error: ModbusError, at: int) -> None:
+def test_a_question_that_fails_hides_no_other_answer(error: ModbusError, at: int) -> None:
     answers: list[Any] = [[("one", 1)], [("two", 2)]]
     answers.insert(at, error)
     questions = {str(number): question(each) for number, each in enumerate(answers)}

@@ -62,7 +62,7 @@ def test_a_server_that_goes_and_comes_back_is_shown(mapping: Mapping) -> None:
                 interrupted(watching)
 
 
-def test_the_pace_is_kept(running: Running) -> None:
+def test_a_watch_polls_at_its_interval(running: Running) -> None:
     arguments = ["read", running.urls[0], "holding", "0", "--json", "--watch", "0.15"]
     with Started(*arguments) as process:
         times = [
@@ -89,7 +89,7 @@ def test_who_answers_nothing_is_not_asked_for_the_rest() -> None:
         (["--for", "0.01"], 1),
     ],
 )
-def test_a_watch_ends(running: Running, end: list[str], polls: int) -> None:
+def test_a_watch_ends_after_its_polls(running: Running, end: list[str], polls: int) -> None:
     result = run("read", running.urls[0], "hr", 0, *end)
     assert (result.code, result.err) == (0, "")
     assert result.out.count("\n") == polls
@@ -162,7 +162,7 @@ def test_a_terminal_has_a_table_that_is_drawn_in_place(running: Running, mapping
 @pytest.mark.parametrize(
     ("environment", "in_place"), [({"NO_COLOR": "1"}, True), ({"TERM": "dumb"}, False)]
 )
-def test_terminals_that_want_less(running: Running, mapping: Mapping, environment, in_place):
+def test_plain_terminals_get_plain_lines(running: Running, mapping: Mapping, environment, in_place):
     arguments = ["read", running.urls[0], "holding", "0", *WATCH]
     with on_terminal(*arguments, environment=environment) as terminal:
         terminal.until(lambda text: text.count("\n") >= 4)

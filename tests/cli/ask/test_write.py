@@ -41,7 +41,7 @@ def frames(err: str) -> list[str]:
         ("hr 3-4 5 6", ["10 00 03 00 02 04 00 05 00 06"]),
     ],
 )  # fmt: skip
-def test_writes_are_these_bytes(url: str, words: str, pdus: list[str]) -> None:
+def test_values_are_written_in_the_right_bytes(url: str, words: str, pdus: list[str]) -> None:
     result = run("write", url, *words.split(), "-v")
     assert result.code == 0, result.err
     assert frames(result.err) == pdus
@@ -172,7 +172,7 @@ class Stubborn:
         ("hr 6 8 --count-from-1", ["hr 6: wrote 8, reads 7"]),
     ],
 )
-def test_what_differs_is_named(words: str, lines: list[str]) -> None:
+def test_verify_names_what_differs(words: str, lines: list[str]) -> None:
     with FakeServer(Stubborn()) as server:
         result = run("write", f"127.0.0.1:{server.port}", *words.split(), "--verify")
     assert result.code == (1 if lines else 0)

@@ -187,7 +187,7 @@ def test_a_capture_on_a_full_disk_can_be_read(size: int, target: str, tmp_path: 
 
 
 @pytest.mark.parametrize(("variables", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False)])
-def test_colour_on_a_terminal(variables: dict[str, str], coloured: bool) -> None:
+def test_variables_forbid_colours(variables: dict[str, str], coloured: bool) -> None:
     with on_terminal("listen", DECODED, environment=variables) as terminal:
         text = terminal.read_to_end()
         assert terminal.process.wait() == 0

@@ -45,7 +45,7 @@ def test_who_answers_is_printed_and_the_rest_goes_elsewhere(url: str) -> None:
     assert "a gateway reports 246 units" in note
 
 
-def test_json_is_one_line(url: str) -> None:
+def test_a_scan_prints_json_in_one_line(url: str) -> None:
     result = run("scan", url, "--units", "1,3-4", "--json", "--deep")
     assert result.out.count("\n") == 1
     report = json.loads(result.out)
@@ -191,7 +191,7 @@ def test_ctrl_c_in_a_search_prints_what_was_found() -> None:
     assert "# discrete_inputs: ended by the user" in output
 
 
-def test_a_terminal_has_progress() -> None:
+def test_a_scan_shows_its_progress_on_a_terminal() -> None:
     def answer(request: bytes) -> list[bytes]:
         time.sleep(0.05)
         return [mbap(request, b"\x83\x0b")]

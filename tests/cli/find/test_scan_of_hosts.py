@@ -32,14 +32,14 @@ def port() -> Iterator[str]:
         ("10.0.0.0/16", 65534, "10.0.0.1", 502),
     ],
 )
-def test_ranges(text: str, count: int, first: str, port: int) -> None:
+def test_a_range_has_its_hosts_and_port(text: str, count: int, first: str, port: int) -> None:
     hosts = host_range(text)
     assert hosts is not None
     assert (len(hosts), hosts[0]) == (count, (first, port))
 
 
 @each_case("text", ["192.0.2.1", "/dev/ttyUSB0", "tcp://192.0.2.1", "plc/24", "rtu:///dev/x", ""])
-def test_what_is_no_range(text: str) -> None:
+def test_other_places_are_no_range(text: str) -> None:
     assert host_range(text) is None
 
 
@@ -62,7 +62,7 @@ def test_hosts_that_accept_a_connection_are_scanned(port: str) -> None:
     assert run("read", report["found"][0]["url"], "hr", 0).code == 0
 
 
-def test_a_range_without_any_server() -> None:
+def test_a_range_without_a_server_finds_no_unit() -> None:
     result = run("scan", "127.0.0.0/30:1", "--timeout", "50ms")
     assert result.code == 1
     assert result.err.endswith(

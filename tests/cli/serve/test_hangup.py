@@ -136,7 +136,7 @@ def test_a_terminal_that_closes_ends_it(tmp_path: Path, name: str) -> None:
 
 
 @NAMES
-def test_under_nohup_it_goes_on(tmp_path: Path, name: str) -> None:
+def test_under_nohup_a_hangup_ends_no_command(tmp_path: Path, name: str) -> None:
     with started(tmp_path, name, "nohup") as command:
         os.close(command.master)
         command.hang_up()

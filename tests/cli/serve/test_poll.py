@@ -60,7 +60,7 @@ def started(*arguments: object) -> Started:
     return Started("poll", *arguments)
 
 
-def test_once_to_several_outputs(fleet: Path) -> None:
+def test_a_single_poll_goes_to_several_outputs(fleet: Path) -> None:
     a, b, c = (fleet.with_name(name) for name in ("a.csv", "b.csv", "c.jsonl"))
     options = ["--csv", a, "--json", c, "--csv", b, "--json"]  # which may be repeated
     result = run_forked("poll", fleet, "--once", *options)
@@ -211,7 +211,7 @@ def test_a_full_disk_is_one_line(fleet: Path, form: str) -> None:
     assert result.err == "libmodbus-py: standard output: No space left on device\n"
 
 
-def test_files_and_metrics(fleet: Path) -> None:
+def test_polls_go_to_files_and_metrics(fleet: Path) -> None:
     pytest.importorskip("prometheus_client")
     rows = fleet.parent / "readings.csv"
     samples = (

@@ -118,7 +118,7 @@ def test_sharing_a_device_takes_one_command(device: str) -> None:
                 assert context.read_holding_registers(0, 1) == [len(url)]
 
 
-def test_the_gateway_is_shown() -> None:
+def test_a_page_shows_the_gateway() -> None:
     with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as behind:
         place = behind.urls[0]
         command = ("gateway", "tcp://127.0.0.1:0", "--to", place, "--page", "127.0.0.1:0")

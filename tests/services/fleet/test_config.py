@@ -41,7 +41,7 @@ def test_labels_that_prometheus_refuses_or_mixes(refused: Refused) -> None:
 
 
 @each_case("labels", [{"fire-zone": "x"}, {"_x": "x"}, {"1": "x"}, {"größe": "x"}, {"a.b": "c"}])
-def test_other_labels_are_taken(labels: dict[str, str]) -> None:
+def test_good_labels_are_accepted(labels: dict[str, str]) -> None:
     assert meter("a", "tcp://127.0.0.1", labels=labels).labels == labels
 
 

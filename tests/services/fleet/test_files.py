@@ -109,7 +109,7 @@ def test_a_journal_of_a_file_is_made_with_its_keys(tmp_path: Path) -> None:
     assert journal.path == f"{tmp_path}/fleet.db"
 
 
-def test_a_file_with_every_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_with_every_key_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TEST_MQTT_PASSWORD", "secret")
     # One unit has the bands of the defaults that it reads; one has no map of these.
     fleet = FLEET.replace("dead_bands = {voltage = 0.5, power = 10}", "")

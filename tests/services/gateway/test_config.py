@@ -54,7 +54,7 @@ def test_mistakes_are_told_with_file_line_and_key(tmp_path: Path, refused: Refus
         ("0-255:1=tcp://192.0.2.1", dict.fromkeys(range(256), 1)),
     ],
 )
-def test_routes_of_a_command_line(text: str, ways: dict[int, int]) -> None:
+def test_routes_of_a_command_line_are_read(text: str, ways: dict[int, int]) -> None:
     assert parse_route(text).ways == ways
 
 

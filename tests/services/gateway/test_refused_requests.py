@@ -18,7 +18,7 @@ from tests.support.gateways import passage
 from tests.support.interop import UNIT, make_device
 
 
-def test_read_only_is_read_only(lan: Lan) -> None:
+def test_a_route_that_is_read_only_refuses_writes(lan: Lan) -> None:
     device = make_device()
     with (
         passage("tcp", "rtu", {UNIT: device}, route={"read_only": True}, lan=lan) as through,

@@ -32,7 +32,7 @@ def value(unit: int, address: int) -> int:
     return (unit * 10_000 + address) & 0xFFFF
 
 
-def test_late_answers_are_never_anybody_elses(lan: Lan) -> None:
+def test_late_answers_go_to_no_other_request(lan: Lan) -> None:
     """A unit whose every third answer comes after its timeout, and good ones beside it."""
     framer = framing.make_framer("rtu", "server")
     counts: Counter[int] = Counter()

@@ -152,7 +152,7 @@ ERRORS: dict[str, tuple[Callable[[bytes], list[bytes]], str, bool, str]] = {
 
 
 @pytest.mark.parametrize(("answer", "name", "stays", "text"), ERRORS.values(), ids=ERRORS)
-def test_errors_are_theirs(answer: Any, name: str, stays: bool, text: str) -> None:
+def test_errors_are_of_their_classes(answer: Any, name: str, stays: bool, text: str) -> None:
     async def go() -> None:
         connection = tcp(server.port, SHORT)
         try:
@@ -245,7 +245,7 @@ def test_params_that_lead_nowhere_are_refused_at_once(make: Make, text: str) -> 
     assert "\n" not in str(caught.value)
 
 
-def test_other_wrong_arguments() -> None:
+def test_wrong_parameters_times_and_units_are_refused() -> None:
     with pytest.raises(TypeError, match=r"params must be one of ModbusTcpParams, .* not str"):
         backend.ModbusConnection("tcp://192.0.2.10")
     for name in ("timeout", "message_spacing", "connect_delay"):
@@ -268,7 +268,7 @@ def test_an_unreachable_device_is_an_error_of_one_line() -> None:
     assert connection.statistics.failed_connects == 1
 
 
-def test_tls_with_certificates_of_both(pki: Pki) -> None:
+def test_tls_with_certificates_of_both_connects(pki: Pki) -> None:
     own = pki.files(certificates.client())
     with Server(device(), security=pki.server()).background(f"tls://{HOST}:0") as running:
         port = int(running.urls[0].rpartition(":")[2])

@@ -198,7 +198,7 @@ async def test_one_request_at_a_time_whoever_asks(server: Scripted, connection: 
 
 @pytest.mark.parametrize("turns", range(12))
 @served()
-async def test_cancelled_at_any_moment(server: Scripted, connection: Any, turns: int) -> None:
+async def test_cancelled_reads_mix_no_answer(server: Scripted, connection: Any, turns: int) -> None:
     """It leaves neither a lock held nor a link that answers the wrong request."""
     asking = asyncio.create_task(read(connection, 1))
     for _ in range(turns):
@@ -227,7 +227,7 @@ def test_connecting_that_nobody_waits_for_leaves_nothing(turns: int) -> None:
     run(go())
 
 
-def test_closing_while_it_connects() -> None:
+def test_closing_while_it_connects_fails_the_request() -> None:
     async def go() -> None:
         connection = tcp(port, SHORT)
         asking = asyncio.create_task(read(connection))

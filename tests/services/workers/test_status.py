@@ -79,7 +79,7 @@ def seen(network: Network, engine: Engine, report: Any = REPORT) -> dict[str, An
     return status
 
 
-def test_workers_zones_and_sums() -> None:
+def test_a_status_has_workers_zones_and_sums() -> None:
     status = seen(*plant())
     assert [(each["id"], each["state"], each["slots"]) for each in status["workers"]] == [
         ("alive.1", "here", 1),
@@ -157,7 +157,7 @@ def test_numbers_of_a_report_that_are_none_count_as_nothing() -> None:
         (b'{"format": 99}', "settings: format 99 is not supported; this version reads format 1"),
     ],
 )
-def test_a_bucket_without_a_fleet(settings: bytes | None, message: str) -> None:
+def test_a_bucket_without_a_fleet_has_no_status(settings: bytes | None, message: str) -> None:
     with pytest.raises(EngineError) as refused:
         seen(*empty(settings))
     assert str(refused.value) == f"modbus-fleet: {message}"

@@ -51,7 +51,7 @@ BYTES: list[tuple[Fault, Framer, list[tuple[float, str]]]] = [
 
 
 @pytest.mark.parametrize(("fault", "framer", "fragments"), BYTES)
-def test_bytes_of_each_fault(fault, framer, fragments) -> None:
+def test_each_fault_sends_its_bytes_at_its_times(fault, framer, fragments) -> None:
     writes = [(each.wait, each.data.hex()) for each in fault.fragments(ANSWER, framer)]
     assert writes == fragments
 

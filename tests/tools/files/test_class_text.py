@@ -88,7 +88,7 @@ MEANINGS = [
 
 
 @each_case(("point", "kind"), MEANINGS)
-def test_types_of_attributes(point: Point, kind: str) -> None:
+def test_attributes_have_the_types_of_their_points(point: Point, kind: str) -> None:
     text = class_text(RegisterMap([point]), "meter")
     assert f"    def a(self) -> {kind}:\n" in text
     assert list(made(RegisterMap([point]))["MAP"].values()) == [point]
@@ -186,7 +186,7 @@ def check_texts(map: RegisterMap) -> None:
         (["a", "a_2", "a "], ["a", "a_2", "a_3"]),
     ],
 )
-def test_attributes_of_names(names: list[str], attributes: list[str]) -> None:
+def test_names_of_points_become_attributes(names: list[str], attributes: list[str]) -> None:
     assert list(attribute_names(names).values()) == attributes
 
 

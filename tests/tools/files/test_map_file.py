@@ -67,7 +67,7 @@ def test_a_column_that_is_named_must_be_there(tmp_path: Path) -> None:
 
 
 @each_case("table", sorted((Path(__file__).parent / "tables").glob("*.csv")))
-def test_tables_of_vendors(table: Path) -> None:
+def test_tables_of_vendors_are_the_maps_beside_them(table: Path) -> None:
     """Beside each table stands what it means, in TOML."""
     assert list(load_map(table).values()) == list(load_map(table.with_suffix(".toml")).values())
 
@@ -86,7 +86,7 @@ def test_a_wrong_file_is_told_what_is_wrong(kind: str, tmp_path: Path, refused: 
     refused(f"wrong_{kind}.txt", load_without_folder)
 
 
-def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MapError, match=r"^cannot read .*meter\.csv: No such file or directory$"):
         load_map(tmp_path / "meter.csv")
     with pytest.raises(MapError, match=r"meter\.ods: a register map must end with one of \.toml"):

@@ -61,7 +61,7 @@ SERIAL = "stop_bits is part of the URL of a serial port: rtu:///dev/ttyUSB0?stop
         ("[[unit]]\nid = 1\nidentity = {}", "did you mean identification?"),
     ],
 )
-def test_a_wrong_key(tmp_path: Path, text: str, suggestion: str) -> None:
+def test_a_wrong_key_has_a_suggestion(tmp_path: Path, text: str, suggestion: str) -> None:
     file = tmp_path / "wrong.toml"
     file.write_text(text)
     with pytest.raises(ValueError, match="no such key; allowed are ") as raised:

@@ -110,7 +110,7 @@ class TestReader:
             (lambda data: data.replace(b"mbtcp", b"mbxxx"), "neither mbtcp nor mbrtu"),
         ],
     )
-    def test_other_files(self, tmp_path: Path, change: object, what: str) -> None:
+    def test_other_files_are_refused(self, tmp_path: Path, change: object, what: str) -> None:
         file = tmp_path / "x.pcapng"
         assert callable(change)
         file.write_bytes(change(DECODED.read_bytes()))
@@ -119,7 +119,7 @@ class TestReader:
         assert str(caught.value).startswith(str(file))
 
     @each_case("seed", range(40))
-    def test_damaged_files(self, tmp_path: Path, seed: int) -> None:
+    def test_damaged_files_are_read_or_refused(self, tmp_path: Path, seed: int) -> None:
         """They are read or refused, and nothing else."""
         choose = random.Random(seed)
         file = tmp_path / "x.pcapng"
@@ -207,7 +207,7 @@ class TestReader:
             listen("nowhere.pcapng")
 
 
-def test_a_tap_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_tap_outlives_its_capture(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path, device = tmp_path / "x.pcapng", Device(Mapping(holding_registers={0: [7]}))
     with (
         Server(device).background("rtu+tcp://127.0.0.1:0") as running,

@@ -150,7 +150,7 @@ class TestPort:
             with Client(f"rtu://{port.path}", unit=1):
                 pass  # takes the lock
 
-    def test_a_port_that_is_locked(self, port: Line, caplog: pytest.LogCaptureFixture) -> None:
+    def test_an_open_port_is_a_warning(self, port: Line, caplog: pytest.LogCaptureFixture) -> None:
         with (
             Server(Device(Mapping(1, 1, 1, 1))).background(f"rtu://{port.path}"),
             caplog.at_level(logging.WARNING),
@@ -197,7 +197,7 @@ class TestEnding:
             importlib.import_module("libmodbus_py.tools.listener.listener"), "IDLE", 99.0
         )
 
-    def test_close_from_another_thread(self, port: Line) -> None:
+    def test_closing_from_another_thread_ends_the_iteration(self, port: Line) -> None:
         gathering = Gathering(listen(f"rtu://{port.path}"))
         time.sleep(0.1)
         with pytest.raises(RuntimeError, match="listening already"):
@@ -271,7 +271,7 @@ def tapped(request: pytest.FixtureRequest, device: Device) -> Iterator[Gathering
 
 
 class TestBetween:
-    def test_many_clients(self, tapped: Gathering) -> None:
+    def test_a_tap_pairs_the_requests_of_many_clients(self, tapped: Gathering) -> None:
         def ask(address: int) -> None:
             with Client(tapped.line.url, unit=UNIT) as client:
                 for _ in range(20):
@@ -312,7 +312,7 @@ class TestBetween:
             with socket.create_connection(place, 10) as client:
                 assert client.recv(1) == b""
 
-    def test_a_taken_port(self) -> None:
+    def test_a_tap_at_a_port_in_use_is_refused(self) -> None:
         with socket.create_server(("127.0.0.1", 0)) as server:
             url = f"rtu+tcp://127.0.0.1:{server.getsockname()[1]}"
             with pytest.raises(ModbusConnectionError, match="cannot listen on rtu"):

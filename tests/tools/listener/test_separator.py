@@ -91,7 +91,7 @@ def test_refusals_and_requests_without_an_answer_or_with_a_wrong_one() -> None:
     assert (alone.kind, alone.unit, alone.request) == ("unasked", 1, None)
 
 
-def test_requests_that_are_not_decoded() -> None:
+def test_requests_that_are_not_decoded_keep_their_bytes() -> None:
     (refused,) = listen([(0.0, rtu("01 03 00 00 00 00")), (0.1, rtu("01 83 03"))])
     assert (refused.request, refused.kind) == (pdu.RawRequest(3, bytes(4)), "exception")
     (unknown,) = listen([(0.0, rtu("01 41 AA BB")), (0.1, rtu("01 41 CC"))])
@@ -213,7 +213,7 @@ def test_repeats_are_counted_and_late_answers_named() -> None:
     assert late.duration == pytest.approx(1.1)
 
 
-def test_a_doubled_echo() -> None:
+def test_a_doubled_echo_is_unasked() -> None:
     pieces = [(0.0, WRITE), (1.0, WRITE), (1.01, WRITE), (1.02, WRITE), (1.05, ASK), (1.06, ANSWER)]
     assert kinds(pieces) == ["unanswered", "answered", "unasked", "answered"]
     parts = [part for part, _ in named(pieces)]
@@ -234,7 +234,7 @@ def test_damage_in_place_of_a_response_and_beside_it() -> None:
     assert outcome == ["damaged", "answered"]
 
 
-def test_a_pause_inside_a_frame() -> None:
+def test_pauses_inside_a_frame_do_not_end_it() -> None:
     """A long answer came in pieces of 32 bytes, with gaps."""
     data = rtu("01 03 A0" + "00 07" * 80)
     pieces = [(0.0, rtu("01 03 00 00 00 50"))]
@@ -304,7 +304,7 @@ def test_a_transaction_that_is_over_is_returned_without_another_byte(pieces, res
     assert transaction.kind == "answered"
 
 
-def test_known_directions() -> None:
+def test_a_known_direction_decides_between_request_and_response() -> None:
     separator = Separator("rtu")
     assert separator.feed(WRITE, 0.0, "client") == []
     assert separator.feed(WRITE, 1.0, "client")[0].kind == "unanswered"

@@ -141,12 +141,12 @@ def paired(events: list[Event], endpoint: str) -> str:
 
 
 @each_case(("events", "kinds"), ON_TCP)
-def test_a_trace_on_tcp(events: list[Event], kinds: str) -> None:
+def test_a_trace_on_tcp_becomes_transactions(events: list[Event], kinds: str) -> None:
     assert paired(events, TCP) == kinds
 
 
 @each_case(("events", "kinds"), [*ON_LINES, ([ask(0, ASK), answer(1, ANSWER_18)], "17:3 invalid")])
-def test_a_trace_on_a_line(events: list[Event], kinds: str) -> None:
+def test_a_trace_on_a_line_becomes_transactions(events: list[Event], kinds: str) -> None:
     assert paired(events, LINE) == kinds
 
 

@@ -178,7 +178,7 @@ def test_faults_are_switched_off_and_on() -> None:
         until(lambda: not reads())
 
 
-def test_a_fault_is_added() -> None:
+def test_a_fault_that_is_added_on_the_page_hits_requests() -> None:
     with page_of() as (server, url, visitor), visitor.watching():
         body = {"unit": 2, "kind": "no_answer", "function": 3, "every": None, "seconds": None}
         assert visitor.post("/faults", **body) == {}

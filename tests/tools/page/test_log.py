@@ -90,7 +90,7 @@ def test_the_log_is_text() -> None:
         (pdu.ReadFifoQueue(2), [1, 2], ""),
     ],
 )
-def test_points_of_requests(request_: Any, response: Any, text: str) -> None:
+def test_the_log_names_the_points_of_requests(request_: Any, response: Any, text: str) -> None:
     unit = shown_of(make_server()).units[1]
     assert named_cells(unit, request_, response) == text
 

@@ -238,7 +238,7 @@ def test_a_page_that_does_not_read_gets_all_tables_when_it_does() -> None:
             received += slow.recv(65536)
 
 
-def test_an_end_ends_everybody() -> None:
+def test_a_signal_ends_a_server_with_open_streams() -> None:
     """SIGTERM with open streams, from the command line."""
     arguments = ("serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0")
     with Started(*arguments, environment=PAGE_TOKEN) as program:

@@ -26,7 +26,7 @@ from tests.tools.page.watching import Visitor, is_served, make_server
 pytestmark = IN_BROWSER
 
 
-def test_a_person_uses_the_page() -> None:
+def test_a_browser_shows_and_changes_values() -> None:
     from selenium.webdriver.common.keys import Keys
 
     server = make_server(faults={1: [Fault("exception", code=6, function=4)]})

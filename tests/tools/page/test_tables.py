@@ -174,7 +174,7 @@ def test_long_names_are_cut_and_hostile_ones_arrive_as_text() -> None:
         (list(range(99)), ", ".join(map(str, range(20))) + ", ..."),
     ],
 )
-def test_values_as_text(value: Any, text: str) -> None:
+def test_values_are_shown_as_text(value: Any, text: str) -> None:
     assert value_text(value) == text
 
 

@@ -67,7 +67,7 @@ def test_all_ranges_are_found_with_few_requests() -> None:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp", "udp"])
-def test_ranges_with_holes_are_found(scheme: str) -> None:
+def test_ranges_with_gaps_are_found(scheme: str) -> None:
     """Our server answers 2 for any read that touches a hole."""
     mapping = Mapping(
         coils=[range(8), range(10, 26)],

@@ -30,7 +30,7 @@ from tests.tools.simulator.simulated_units import Clock, answer, holding, inputs
         ("scale = 0.1\ncounter = { start = 6553.5, step = 0.1, interval = 0.5 }", [65535] * 6),
     ],
 )
-def test_values_at_each_half_second(behaviour: str, values: list[int]) -> None:
+def test_values_move_each_half_second(behaviour: str, values: list[int]) -> None:
     clock = Clock()
     device = unit(f"[[unit.input_registers]]\naddress = 5\n{behaviour}", clock)
     cells = []
@@ -153,7 +153,7 @@ COPIES = """
         ("bits16", [1] + [0] * 15, "bits16", 1, [True] + [False] * 15),
     ],
 )
-def test_copies(source: str, value: object, target: str, scale: float, copy: object) -> None:
+def test_copies_scale(source: str, value: object, target: str, scale: float, copy: object) -> None:
     device = unit(COPIES.format(source=source, value=value, target=target, scale=scale))
     count = 2 * values.value_type(target).registers
     assert values.value_type(target).decode_many(inputs(device, 7, count)) == [copy, copy]

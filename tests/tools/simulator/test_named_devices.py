@@ -157,7 +157,7 @@ def test_all_points_of_a_map_exist(make_device: Write) -> None:
     assert list(device.points) == re.findall(r"^([\w ]+),", METER, re.MULTILINE)[1:]
 
 
-def test_values_and_moves_by_name(make_device: Write) -> None:
+def test_values_are_set_and_moved_by_name(make_device: Write) -> None:
     clock = Clock()
     text = """
         [unit.values]
@@ -225,7 +225,7 @@ def test_a_value_that_moves_cannot_be_written_by_another_name_either(make_device
         device["total_low"] = 1
 
 
-def test_moving_values_by_name(make_device: Write) -> None:
+def test_values_that_have_names_move(make_device: Write) -> None:
     clock = Clock()
     device = make_device(MOVING, BOUNDS, clock=clock)
     clock.now += 7

@@ -136,7 +136,7 @@ class TestReports:
 
 
 class TestLeftBehind:
-    def test_nothing_by_many_tests(self, suite: Suite, write: Write) -> None:
+    def test_many_tests_leave_no_thread_and_no_descriptor(self, suite: Suite, write: Write) -> None:
         write("""
     import gc
     from libmodbus_py.tools.testing.recording import RecordingServer

@@ -89,7 +89,7 @@ async def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_rea
 
 @pytest.mark.parametrize("after", [[], ["b"], ["a"]], ids=["none", "another", "itself"])
 @in_simulated_time
-async def test_an_answer_after_a_reload_is_of_nobody(after: list[str]) -> None:
+async def test_a_reload_discards_answers_of_former_devices(after: list[str]) -> None:
     """A device is removed, replaced, or changed while it is asked: no reading of the former."""
     answers = asyncio.Event()
 

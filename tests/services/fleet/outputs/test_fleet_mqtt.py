@@ -45,7 +45,7 @@ def secure(broker: Broker, pki: Pki, identity: Identity) -> str:
     return f"mqtts://127.0.0.1:{port}"
 
 
-async def test_readings_over_tls(broker: Broker, tmp_path: Path) -> None:
+async def test_readings_arrive_over_tls(broker: Broker, tmp_path: Path) -> None:
     pki = Pki(tmp_path)
     url = secure(broker, pki, certificates.server())
     async with real_peer() as peer:
@@ -167,7 +167,7 @@ async def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:
         assert fleet.statistics.commands == 1
 
 
-async def test_off_unless_enabled(broker: Broker) -> None:
+async def test_commands_do_nothing_unless_they_are_enabled(broker: Broker) -> None:
     async with commanded(broker) as (fleet, messages, device):
         await publish(broker, "modbus/a/setpoint/set", b"21")
         before = fleet.statistics.polls

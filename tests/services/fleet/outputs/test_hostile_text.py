@@ -112,7 +112,7 @@ encoding = "latin-1"
         ["poll", "{fleet}", "--once", "--json", "-"],
     ],
 )
-def test_commands_show_it_harmlessly(url: str, tmp_path: Path, words: list[str]) -> None:
+def test_commands_print_no_control_characters(url: str, tmp_path: Path, words: list[str]) -> None:
     fleet = tmp_path / "fleet.toml"
     fleet.write_text(FLEET.format(url=url))
     with on_terminal(*(each.format(url=url, fleet=fleet) for each in words)) as terminal:
@@ -126,7 +126,7 @@ def test_read_writes_csv_that_readers_understand(url: str) -> None:
     assert rows[1][1] == f"{HOSTILE}x"
 
 
-def test_messages_show_it_harmlessly(tmp_path: Path) -> None:
+def test_messages_print_hostile_text_without_control_characters(tmp_path: Path) -> None:
     result = run("read", "127.0.0.1:1", "holding", "0", "--map", tmp_path / "\x1b[31m")
     assert result.code != 0
     assert not OBEYED & set(result.err)

@@ -107,7 +107,7 @@ def write(*answers: Answer, **keys: Any) -> HttpServer:
     return asyncio.run(go())
 
 
-def test_influxdb_1() -> None:
+def test_influxdb_1_gets_a_database_and_a_login() -> None:
     (received,) = write(user="me", password="secret").received
     assert received.line == "POST /write?db=plant&precision=ns"
     login = base64.b64encode(b"me:secret").decode()
@@ -115,7 +115,7 @@ def test_influxdb_1() -> None:
     assert received.body == LINE
 
 
-def test_influxdb_2(tmp_path: Path) -> None:
+def test_influxdb_2_gets_a_bucket_and_a_token(tmp_path: Path) -> None:
     write_secret(tmp_path / "token", "a secret\n")
     token = SecretFile(tmp_path / "token")
     keys = {"database": None, "bucket": "a b", "organization": "plant"}
@@ -127,7 +127,7 @@ def test_influxdb_2(tmp_path: Path) -> None:
     assert received.body == LINE
 
 
-def test_no_credentials() -> None:
+def test_without_credentials_no_login_is_sent() -> None:
     (received,) = write().received
     assert "authorization" not in received.headers
 
@@ -163,7 +163,7 @@ async def test_an_empty_write_asks_nothing() -> None:
         (None, ConnectionError, None),
     ],
 )
-def test_answers_that_do_not_confirm(answer, error, message) -> None:
+def test_answers_that_confirm_nothing_are_errors(answer, error, message) -> None:
     with pytest.raises(error, match=message) as raised:
         write(answer, token="s3cret", database=None, bucket="b")
     # Only a lost connection may be due to the readings.
@@ -194,7 +194,7 @@ def test_bad_keys_are_refused(refused: Refused) -> None:
     refused("refused_influx.txt", lambda keys: Influx(**keys))
 
 
-def test_a_file_of_lines(tmp_path: Path) -> None:
+def test_lines_are_appended_to_a_file(tmp_path: Path) -> None:
     for _ in range(2):
         asyncio.run(outputs.write(Influx(str(tmp_path / "lines"), measurement="plant"), [READING]))
     assert (tmp_path / "lines").read_bytes() == 2 * LINE.replace(b"modbus", b"plant")
