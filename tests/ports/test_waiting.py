@@ -130,17 +130,13 @@ def addresses(monkeypatch: pytest.MonkeyPatch, *ports: int) -> None:
 def test_a_dead_address_leaves_the_others_their_share_of_the_time(monkeypatch) -> None:
     clock = SimpleNamespace(monotonic=lambda: 100.0)
     monkeypatch.setattr("libmodbus_py.ports.sockets.time", clock)
-    with (
-        mute_port() as port,
-        mute_port() as other,
-        socket.create_server(("127.0.0.1", 0)) as listener,
-    ):
+    with mute_port() as port, mute_port() as other, socket.create_server(("127.0.0.1", 0)) as peer:
         made = TcpPort("three-addresses.invalid", 502, None)
         steps = made.opening(106.0)
         next(steps)
         addresses = [
             (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", number))
-            for number in (port, other, listener.getsockname()[1])
+            for number in (port, other, peer.getsockname()[1])
         ]
         assert steps.send(addresses)[1:] == (WRITE, 102.0)
         clock.monotonic = lambda: 102.5

@@ -128,9 +128,7 @@ class Lan(Network):
     def client(
         self, target: str | int, source: str | None = None, *, timeout: float = PATIENCE
     ) -> LanClient:
-        """
-        Connect to a URL, or to a port of 127.0.0.1; over UDP, be ready to send datagrams there.
-        """
+        """Connect to a URL, or to a port of 127.0.0.1; over UDP, be ready to send there."""
         endpoint = parse(f"tcp://127.0.0.1:{target}" if isinstance(target, int) else target)
         is_udp = endpoint.transport == "udp"
         opened = self.open_datagrams if is_udp else self.connect

@@ -53,21 +53,17 @@ def test_routes_change_and_connections_stay(lan: Lan) -> None:
 @pytest.mark.parametrize("stays", [True, False])
 def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(lan: Lan, stays):
     """A line stays if its URL does, whatever else of its routes changes."""
-    with (
-        gated(lan) as (gate, _, url, gateway_),
-        lan.client(url) as client,
-        lan.client(url) as other,
-    ):
-        client.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2))
+    with gated(lan) as (gate, _, url, gateway_), lan.client(url) as one, lan.client(url) as other:
+        one.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2))
         assert lan.until(lambda: gate.asked)
         to = f"{LINE}?timeout={1000 if stays else 999}"
         gateway_.change_routes([Route(to, "5", "1", cache=1, merge=True)])
         lan.pass_time(1)
         if stays:
             gate.open()
-            assert client.receive(22) == adu(ONE, 1) + adu(ONE, 2)
+            assert one.receive(22) == adu(ONE, 1) + adu(ONE, 2)
         else:
-            answers = client.receive(18)
+            answers = one.receive(18)
             refused = {adu(b"\x83\x0b", number) for number in (1, 2)}
             assert {answers[:9], answers[9:]} == refused
         other.sendall(adu(READ_ONE, 3, unit=1) + adu(pdu.ReadHoldingRegisters(7, 1).encode(), 4, 5))
@@ -82,18 +78,18 @@ def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(la
 def test_requests_of_a_client_that_sends_no_more_are_answered(scheme: str) -> None:
     """As of `nc -N`, which half-closes the connection behind its last request."""
     framing: Framing = "tcp" if scheme == "tcp" else "rtu" if scheme == "rtu+tcp" else "ascii"
-    framer = make_framer(framing, "client")
+    framer = make_framer(framing, "one")
     with (
         Server(small()).background("tcp://127.0.0.1:0") as behind,
         Gateway([Route(behind.urls[0])]).background(f"{scheme}://127.0.0.1:0") as running,
-        socket.create_connection(("127.0.0.1", urlsplit(running.urls[0]).port)) as client,
+        socket.create_connection(("127.0.0.1", urlsplit(running.urls[0]).port)) as one,
     ):
         count = 5 if scheme == "tcp" else 1  # without ids, a request takes the place of another
         writes = [Frame(1, pdu.WriteRegister(at, 7).encode(), at) for at in range(count)]
-        client.sendall(b"".join(framer.encode(write) for write in writes))
-        client.shutdown(socket.SHUT_WR)
-        client.settimeout(10)
-        answers = b"".join(iter(lambda: client.recv(4096), b""))
+        one.sendall(b"".join(framer.encode(write) for write in writes))
+        one.shutdown(socket.SHUT_WR)
+        one.settimeout(10)
+        answers = b"".join(iter(lambda: one.recv(4096), b""))
         assert answers == b"".join(framer.encode(write) for write in writes)
 
 

@@ -105,7 +105,7 @@ async def publish(broker: Broker, topic: str, payload: bytes, *, retain: bool = 
         await client.publish(topic, payload, 1, retain)
 
 
-def content(payload: Any) -> Any:
+def plain(payload: Any) -> Any:
     """Return a state, the value of a reading, or the values of a poll by name."""
     if isinstance(payload, str):
         return payload
@@ -114,7 +114,7 @@ def content(payload: Any) -> Any:
     return payload["value"]
 
 
-def values_of(messages: list[tuple[str, Any, bool]], topic: str) -> list[Any]:
+def payloads(messages: list[tuple[str, Any, bool]], topic: str) -> list[Any]:
     return [payload for each, payload, _ in messages if each == topic]
 
 

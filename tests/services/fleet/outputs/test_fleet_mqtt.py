@@ -21,10 +21,10 @@ from tests.services.fleet.fleets import meter, real_peer, until
 from tests.services.fleet.outputs.brokers import (
     Broker,
     commanded,
-    content,
     hearing,
+    payloads,
+    plain,
     publish,
-    values_of,
 )
 from tests.support import certificates
 from tests.support.certificates import Pki
@@ -89,9 +89,9 @@ async def test_the_last_will_says_who_is_gone(broker: Broker, tmp_path: Path) ->
     async with hearing(broker, "poller") as messages:
         program = [sys.executable, "-m", "libmodbus_py", "poll", str(tmp_path / "fleet.toml")]
         with subprocess.Popen(program) as poller:
-            await until(lambda: values_of(messages, "poller") == ["online"])
+            await until(lambda: payloads(messages, "poller") == ["online"])
             poller.kill()
-        await until(lambda: values_of(messages, "poller")[1:] == ["offline"])
+        await until(lambda: payloads(messages, "poller")[1:] == ["offline"])
 
 
 @pytest.mark.parametrize("options", [{"user": "user", "password": "wrong"}, {}])
@@ -213,13 +213,13 @@ async def test_a_retained_message_has_the_last_values_of_all_points(broker: Brok
         offline = Reading(103.0, "a", "x", None, "V", "offline")
         async with hearing(broker, "plant/+") as messages:
             await until(lambda: messages)
-            assert content(messages[-1][1]) == {"x": 1, "y": 3, "z": 4}
+            assert plain(messages[-1][1]) == {"x": 1, "y": 3, "z": 4}
             await written(pump, [offline])
             await until(lambda: len(messages) == 2)
-            assert content(messages[-1][1]) == {"x": None, "y": 3, "z": 4}
+            assert plain(messages[-1][1]) == {"x": None, "y": 3, "z": 4}
             await written(pump, poll("a", 4, y=5))
             await until(lambda: len(messages) == 3)
-            assert content(messages[-1][1]) == {"y": 5, "z": 4}
+            assert plain(messages[-1][1]) == {"y": 5, "z": 4}
 
 
 async def test_polls_above_the_largest_message_are_several(broker: Broker) -> None:
@@ -229,7 +229,7 @@ async def test_polls_above_the_largest_message_are_several(broker: Broker) -> No
         async with hearing(broker, "plant/+") as notes:
             await written(pump, poll("a", 0, **{f"point_{at}": at for at in range(100)}))
             await until(lambda: notes and len(notes) == notes[0][1]["parts"])
-        messages = values_of(notes, "plant/a")
+        messages = payloads(notes, "plant/a")
         assert [each["part"] for each in messages] == list(range(1, len(messages) + 1))
         assert sum(len(each["values"]) for each in messages) == 100
 

@@ -15,7 +15,7 @@ from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.mqtt import DeviceStates, Mqtt
 from libmodbus_py.services.fleet.outputs.topics import Topic
 from tests.services.fleet.fleets import until
-from tests.services.fleet.outputs.brokers import Broker, content, hearing, publish, values_of
+from tests.services.fleet.outputs.brokers import Broker, hearing, payloads, plain, publish
 from tests.support.cases import each_case
 from tests.support.outputs import pumping
 
@@ -28,13 +28,11 @@ async def test_the_status_is_online_while_one_of_two_is_connected(broker: Broker
         await until(lambda: len(messages) == 2)
         # The will of a worker that was killed, and the last word of one that ended.
         await publish(broker, "modbus/status", b"offline", retain=True)
-        await until(
-            lambda: values_of(messages, "modbus/status")[2:] == ["offline"] + 2 * ["online"]
-        )
+        await until(lambda: payloads(messages, "modbus/status")[2:] == ["offline"] + 2 * ["online"])
         await first.close_output()
-        await until(lambda: values_of(messages, "modbus/status")[5:] == ["offline", "online"])
+        await until(lambda: payloads(messages, "modbus/status")[5:] == ["offline", "online"])
         await second.close_output()
-        await until(lambda: values_of(messages, "modbus/status")[7:] == ["offline"])
+        await until(lambda: payloads(messages, "modbus/status")[7:] == ["offline"])
 
 
 def reading(device: str, value: object, at: float = 0) -> Reading:
@@ -53,7 +51,7 @@ async def test_last_values_at_which_the_broker_ends_connections_do_not_stop_othe
         async with hearing(broker, "modbus/+/text") as messages:
             pump.buffer.put_readings([reading("c", 3, 1)])
             await until(lambda: pump.statistics.written == 3)
-            await until(lambda: values_of(messages, "modbus/c/text"))
+            await until(lambda: payloads(messages, "modbus/c/text"))
     assert "ends connections at last values, which are left out" in caplog.text
 
 
@@ -146,9 +144,7 @@ async def test_retained_messages_are_published_again_after_each_reconnection(
     async def heard_later() -> dict[str, tuple[Any, bool]]:
         async with hearing(broker, "#") as messages:
             await until(lambda: retained.keys() <= {topic for topic, *_ in messages})
-        values = {
-            topic: (content(payload), is_retained) for topic, payload, is_retained in messages
-        }
+        values = {topic: (plain(payload), is_retained) for topic, payload, is_retained in messages}
         return {topic: values[topic] for topic in retained}
 
     async with pumping(Mqtt(broker.url, qos=qos, **options)) as pump:
@@ -192,7 +188,7 @@ async def test_a_message_on_which_the_broker_disconnects_is_dropped_and_told_by_
         await until(lambda: pump.statistics.written == 3)
         assert (pump.statistics.dropped, len(pump.buffer)) == (1, 0)
         await until(lambda: len({topic for topic, *_ in messages}) == 3)
-    assert values_of(messages, "modbus/b/text")[-1]["value"] == "y"
+    assert payloads(messages, "modbus/b/text")[-1]["value"] == "y"
     logged = [each for each in caplog.records if each.levelno >= logging.INFO]
     # asyncio tells of callbacks that a busy machine makes slow.
     assert {each.name.partition(".")[0] for each in logged} - {"asyncio"} == {"libmodbus_py"}

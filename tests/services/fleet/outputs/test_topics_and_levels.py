@@ -7,7 +7,7 @@ from libmodbus_py.fleet import FleetFileError, load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.topics import Levels, Topic
 from tests.services.fleet.fleets import meter, simulated, until
-from tests.services.fleet.outputs.brokers import Broker, hearing, publish, values_of
+from tests.services.fleet.outputs.brokers import Broker, hearing, payloads, publish
 from tests.support.cases import each_case
 
 LEVELS = Levels(r"[\s.%/]")
@@ -122,8 +122,8 @@ async def test_a_command_goes_to_the_own_topic_of_a_point_only(
         output = Mqtt(broker.url, topic=template, device_status=states, status="", commands=True)
         north = meter("north", served.urls[0], labels={"site": "Halle 1"})
         async with hearing(broker, "#") as messages, Fleet([north], outputs=[output]):
-            await until(lambda: values_of(messages, reading))
-            await until(lambda: values_of(messages, "states/Halle 1/north") == ["online"])
+            await until(lambda: payloads(messages, reading))
+            await until(lambda: payloads(messages, "states/Halle 1/north") == ["online"])
             await publish(broker, other, b"25")
             await publish(broker, own, b"21")
             await until(lambda: any(topic.endswith("/result") for topic, *_ in messages))
