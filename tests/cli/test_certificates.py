@@ -17,7 +17,7 @@ from tests.support.cases import each_case
 from tests.support.commands import Result, run
 
 
-def made(*arguments: object) -> Result:
+def make(*arguments: object) -> Result:
     return run("certificates", *arguments)
 
 
@@ -31,7 +31,7 @@ def role_in(path: Path) -> str | None:
 
 def test_it_makes_an_authority_a_server_and_clients(tmp_path: Path) -> None:
     directory = tmp_path / "new" / "with a space"
-    result = made(directory)
+    result = make(directory)
     assert (result.code, result.err) == (0, "")
     roles = {path.stem: role_in(path) for path in directory.glob("*.pem") if "key" not in path.name}
     assert roles == {
@@ -49,7 +49,7 @@ def test_it_makes_an_authority_a_server_and_clients(tmp_path: Path) -> None:
 
 
 def test_options_set_hosts_days_and_roles(tmp_path: Path) -> None:
-    result = made(
+    result = make(
         tmp_path,
         *("--host", "plc.example", "--host", "192.0.2.7", "--days", "7"),
         *("--role", "Shift leader", "--role", "Prüfer"),
@@ -72,14 +72,14 @@ def test_without_cryptography_it_says_what_to_install(tmp_path, monkeypatch) -> 
     for name in missing:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "cryptography", None)
-    result = made(tmp_path)
+    result = make(tmp_path)
     assert result.code == 1
     assert result.err.count("\n") == 1
     assert how_to_add("security") in result.err
 
 
 def test_the_commands_it_prints_work(tmp_path: Path) -> None:
-    serve, read = (shlex.split(line)[1:] for line in made(tmp_path / "a b").out.splitlines()[-2:])
+    serve, read = (shlex.split(line)[1:] for line in make(tmp_path / "a b").out.splitlines()[-2:])
     serve[1] = "tls://127.0.0.1:0"
     with serving(*serve) as (_, read[1]):
         result = run(*read)
@@ -96,11 +96,11 @@ def names_in(path: Path) -> list[str]:
 
 def test_machines_have_certificates_of_one_authority(tmp_path: Path) -> None:
     machines = ("n1.example", "192.0.2.7", "::1", LONG)
-    assert made(tmp_path, *machines[:2]).out.splitlines() == [
+    assert make(tmp_path, *machines[:2]).out.splitlines() == [
         str(tmp_path / name) for name in machines[:2]
     ]
     before = load(tmp_path / machines[0] / "server.pem").serial_number
-    assert made(tmp_path, *machines[2:], machines[0]).code == 0
+    assert make(tmp_path, *machines[2:], machines[0]).code == 0
     assert load(tmp_path / machines[0] / "server.pem").serial_number != before
     ca = load(tmp_path / "ca.pem")
     assert (tmp_path / "ca-key.pem").stat().st_mode & 0o777 == 0o600
@@ -125,17 +125,17 @@ def test_a_key_of_an_interrupted_run_is_no_authority(name: str, tmp_path: Path) 
     folder = tmp_path / f"{len(name)} characters"
     folder.mkdir()
     (folder / "ca-key.pem").write_text(name)
-    assert made(folder, "n1").code == 0
+    assert make(folder, "n1").code == 0
     assert (folder / "ca-key.pem").stat().st_mode & 0o777 == 0o600
     load(folder / "n1" / "server.pem").verify_directly_issued_by(load(folder / "ca.pem"))
 
 
 @each_case("name", ["", "-----BEGIN PRIVATE KEY-----\nMIGHAgEA", None])
 def test_an_authority_without_its_key_is_named(name: str | None, tmp_path: Path) -> None:
-    made(tmp_path, "n1")
+    make(tmp_path, "n1")
     key = tmp_path / "ca-key.pem"
     key.unlink() if name is None else key.write_text(name)
-    result = made(tmp_path, "n2")
+    result = make(tmp_path, "n2")
     assert result.code == 2
     assert f"{key} is not the key of {tmp_path}/ca.pem" in result.err
     assert not (tmp_path / "n2").exists()
@@ -146,8 +146,8 @@ def test_what_cannot_be_written_leaves_no_half(tmp_path, monkeypatch) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
-    assert made(tmp_path, "n1").code == 1
-    assert made(tmp_path).code == 1
+    assert make(tmp_path, "n1").code == 1
+    assert make(tmp_path).code == 1
     assert [each for each in tmp_path.rglob("*") if each.is_file()] == []
 
 
@@ -157,7 +157,7 @@ def names_of(result: Result) -> dict[str, list[str]]:
     return {row[0]: row[1:] for row in (line.split() for line in result.out.splitlines())}
 
 
-def verified(folder: Path, name: str) -> str:
+def verify(folder: Path, name: str) -> str:
     """Return what OpenSSL says of a certificate, with the list of the authority."""
     files = ("-CAfile", folder / "ca.pem", "-CRLfile", folder / "crl.pem", "-crl_check_all")
     command = ["openssl", "verify", *map(str, files), str(folder / f"{name}.pem")]
@@ -166,8 +166,8 @@ def verified(folder: Path, name: str) -> str:
 
 
 def test_the_list_has_serial_numbers_days_and_purposes(tmp_path: Path) -> None:
-    made(tmp_path, "--days", "10", "--role", "Viewer")
-    listed = names_of(made(tmp_path, "--list"))
+    make(tmp_path, "--days", "10", "--role", "Viewer")
+    listed = names_of(make(tmp_path, "--list"))
     assert [*listed] == ["ca", "no-role", "server", "viewer"]
     for name, (serial, *days_and_purpose) in listed.items():
         certificate = load(tmp_path / f"{name}.pem")
@@ -183,10 +183,10 @@ def test_the_list_has_serial_numbers_days_and_purposes(tmp_path: Path) -> None:
 
 
 def test_a_renewed_certificate_has_all_but_its_times_and_number(tmp_path: Path) -> None:
-    made(tmp_path, "--days", "10")
+    make(tmp_path, "--days", "10")
     before = {name: load(tmp_path / f"{name}.pem") for name in ("ca", "server", "viewer")}
     keys = {path: path.read_bytes() for path in tmp_path.glob("*-key.pem")}
-    assert made(tmp_path, "server", "ca", "--renew", "--days", "40").out.splitlines() == [
+    assert make(tmp_path, "server", "ca", "--renew", "--days", "40").out.splitlines() == [
         str(tmp_path / "server.pem"),
         str(tmp_path / "ca.pem"),
     ]
@@ -198,7 +198,7 @@ def test_a_renewed_certificate_has_all_but_its_times_and_number(tmp_path: Path) 
         assert timedelta(days=39) < renewed.not_valid_after_utc - datetime.now(UTC)
         renewed.verify_directly_issued_by(load(tmp_path / "ca.pem"))
     assert load(tmp_path / "viewer.pem") == before["viewer"]
-    assert made(tmp_path, "--renew").code == 0
+    assert make(tmp_path, "--renew").code == 0
     assert load(tmp_path / "viewer.pem") != before["viewer"]
     lifetime = load(tmp_path / "viewer.pem").not_valid_after_utc - datetime.now(UTC)
     assert timedelta(days=9) < lifetime < timedelta(days=10)
@@ -207,32 +207,32 @@ def test_a_renewed_certificate_has_all_but_its_times_and_number(tmp_path: Path) 
 
 def test_revoked_ones_are_refused_and_no_others(tmp_path: Path) -> None:
     """By name, and by a serial number as the audit trail has it, of a certificate that is gone."""
-    made(tmp_path)
+    make(tmp_path)
     serial = f"{load(tmp_path / 'operator.pem').serial_number:x}"
-    result = made(tmp_path, "--revoke", "viewer", "--revoke", serial)
+    result = make(tmp_path, "--revoke", "viewer", "--revoke", serial)
     assert result.out.splitlines()[1:] == [f"{serial}: revoked", str(tmp_path / "crl.pem")]
-    assert made(tmp_path, "--crl", "--days", "3").code == 0  # what was revoked stays so
+    assert make(tmp_path, "--crl", "--days", "3").code == 0  # what was revoked stays so
     for name in ("viewer", "operator"):
-        assert "certificate revoked" in verified(tmp_path, name)
+        assert "certificate revoked" in verify(tmp_path, name)
     for name in ("server", "engineer", "ca"):
-        assert verified(tmp_path, name).endswith("OK\n")
-    listed = names_of(made(tmp_path, "--list"))
+        assert verify(tmp_path, name).endswith("OK\n")
+    listed = names_of(make(tmp_path, "--list"))
     assert listed["viewer"][1] == listed["operator"][1] == "revoked"
     assert listed["crl"] == ["2", "days", "revocation", "list"]
     before = load(tmp_path / "viewer.pem")
-    assert made(tmp_path, "--renew").code == 0
-    assert "'viewer' is revoked" in made(tmp_path, "server", "viewer", "--renew").err
+    assert make(tmp_path, "--renew").code == 0
+    assert "'viewer' is revoked" in make(tmp_path, "server", "viewer", "--renew").err
     assert load(tmp_path / "viewer.pem") == before
 
 
 def test_machines_get_renewed_authorities_and_lists(tmp_path: Path) -> None:
-    made(tmp_path, "n1", "n2")
-    made(tmp_path, "--revoke", "n2")
-    made(tmp_path, "ca", "--renew")
+    make(tmp_path, "n1", "n2")
+    make(tmp_path, "--revoke", "n2")
+    make(tmp_path, "ca", "--renew")
     for name in ("n1", "n2"):
         for file in ("ca.pem", "crl.pem"):
             assert (tmp_path / name / file).read_text() == (tmp_path / file).read_text()
-    assert made(tmp_path, "n1", "--renew").out == f"{tmp_path}/n1/server.pem\n"
+    assert make(tmp_path, "n1", "--renew").out == f"{tmp_path}/n1/server.pem\n"
 
 
 @each_case(
@@ -250,24 +250,24 @@ def test_machines_get_renewed_authorities_and_lists(tmp_path: Path) -> None:
 )
 def test_wrong_words_change_no_file(tmp_path: Path, words: tuple[str, ...], reason: str) -> None:
     if not (tmp_path / "ca.pem").exists():
-        made(tmp_path)
+        make(tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    result = made(tmp_path, *words)
+    result = make(tmp_path, *words)
     assert result.code == 2
     assert reason in result.err
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
-    made(tmp_path)
-    made(tmp_path / "others")
+    make(tmp_path)
+    make(tmp_path / "others")
     (tmp_path / "device.pem").write_bytes((tmp_path / "others" / "server.pem").read_bytes())
-    assert "device" not in names_of(made(tmp_path, "--list"))
+    assert "device" not in names_of(make(tmp_path, "--list"))
     (tmp_path / "crl.pem").write_bytes((tmp_path / "device.pem").read_bytes())
-    assert "crl.pem: no revocation list in PEM format" in made(tmp_path, "--list").err
-    made(tmp_path / "others", "--crl")
+    assert "crl.pem: no revocation list in PEM format" in make(tmp_path, "--list").err
+    make(tmp_path / "others", "--crl")
     (tmp_path / "crl.pem").write_bytes((tmp_path / "others" / "crl.pem").read_bytes())
-    assert "is not signed by" in made(tmp_path, "--list").err
+    assert "is not signed by" in make(tmp_path, "--list").err
 
 
 def test_a_token_is_new_and_its_file_is_of_its_owner(tmp_path: Path) -> None:

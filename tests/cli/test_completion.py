@@ -99,7 +99,7 @@ def test_quotes_and_spaces_are_completed(place: Path, line: str, words: list[str
     names = ["Leistung L1", "spannung's", "$x"]
     rows = "".join(f"{name},holding,{at}\n" for at, name in enumerate(names))
     (place / "my meter.csv").write_text(f"name,table,address\n{rows}")
-    answers = completed(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="bash").split("\013")
+    answers = complete(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="bash").split("\013")
     assert [re.sub(r"\\(.)", r"\1", each).strip() for each in answers] == words
 
 
@@ -137,7 +137,7 @@ LINES = [
 ]
 
 
-def completed(line: str, folder: Path, **shell: str) -> str:
+def complete(line: str, folder: Path, **shell: str) -> str:
     """Ask as the function of a shell does: through the environment, with the answer in a file."""
     answer = folder / "answer"
     subprocess.run(
@@ -163,12 +163,12 @@ def completed(line: str, folder: Path, **shell: str) -> str:
 
 @pytest.mark.parametrize(("line", "words"), LINES)
 def test_bash_gets_arguments(place: Path, line: str, words: set[str]) -> None:
-    answer = completed(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="bash")
+    answer = complete(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="bash")
     assert {each.strip() for each in answer.split("\013")} - {"--help", ""} == words
 
 
 def test_the_map_may_stand_behind_the_name(place: Path) -> None:
     for line in ("read h vol --map meter.csv", "read h vol --map=meter.csv -u 3"):
         point = str(len("libmodbus-py read h vol"))
-        answer = completed(f"libmodbus-py {line}", place, COMP_POINT=point)
+        answer = complete(f"libmodbus-py {line}", place, COMP_POINT=point)
         assert answer.strip() == "voltage"

@@ -131,11 +131,11 @@ def test_a_session_is_the_golden_file(name: str, url: str, tmp_path: Path, golde
         if line.startswith((PROMPT, "#")):
             lines.append(line)
         if line.startswith(PROMPT):
-            lines += printed(line.removeprefix(PROMPT), url, tmp_path)
+            lines += lines_of(line.removeprefix(PROMPT), url, tmp_path)
     golden(f"{name}.txt", "\n".join(lines) + "\n")
 
 
-def printed(command: str, url: str, folder: Path) -> list[str]:
+def lines_of(command: str, url: str, folder: Path) -> list[str]:
     """Return the lines that a session has below a command."""
     typed = {"URL": url, "HOST": url.partition("?")[0]}
     words = [word.replace("FOLDER", str(folder)) for word in shlex.split(command)]

@@ -80,7 +80,7 @@ def programs() -> dict[str, Pair]:
 PROGRAMS = programs()
 
 
-def said(source: str) -> list[object]:
+def outputs(source: str) -> list[object]:
     """The values that comments name; a value alone and a list of it are one to readers."""
     texts = [text for text in comments_of(source).values() if is_value(text)]
     values = [ast.literal_eval(text) for text in texts]
@@ -92,7 +92,7 @@ def test_both_sides_of_the_pairs_give_the_same(page: str) -> None:
     rows = list(pairs(page))
     assert len(rows) >= PAIRS[page]
     for each in rows:
-        assert said(each.theirs)[-1] == said(each.ours)[-1], each.ours
+        assert outputs(each.theirs)[-1] == outputs(each.ours)[-1], each.ours
         assert "libmodbus_py" not in each.theirs
 
 

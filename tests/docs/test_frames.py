@@ -18,7 +18,7 @@ ROW = re.compile(r"\| (\d+)(?:/\d+)? \| [^|]+ \| `([0-9A-F ]+)` \| `([0-9A-F ]+)
 Shown = tuple[str, str, str]  # kind, form, as it is written
 
 
-def shown() -> list[Shown]:
+def frames() -> list[Shown]:
     rows: list[Shown] = []
     for path in sorted(PAGES.glob("*.md")):
         for region in blocks(Document(path.read_text(), str(path))):
@@ -40,12 +40,12 @@ def vector(kind: str, form: str, text: str) -> FrameVector:
     return next(each for each in FRAMES if each.kind == kind and getattr(each, form) == data)
 
 
-@each_case("example", shown(), ids=" ".join)
+@each_case("example", frames(), ids=" ".join)
 def test_a_frame_is_a_worked_example(example: Shown) -> None:
     assert vector(*example)
 
 
-@each_case("example", [each for each in shown() if each[1] != "pdu"], ids=" ".join)
+@each_case("example", [each for each in frames() if each[1] != "pdu"], ids=" ".join)
 def test_the_package_makes_the_same_frame(example: Shown) -> None:
     kind, form, text = example
     row = vector(*example)

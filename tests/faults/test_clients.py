@@ -47,7 +47,7 @@ def tcp(folder: Path) -> Iterator[str]:
 
 
 @contextlib.contextmanager
-def named(folder: Path) -> Iterator[str]:
+def host_name(folder: Path) -> Iterator[str]:
     with tcp(folder) as url, pytest.MonkeyPatch.context() as patched:
         resolve(patched, "device.example")
         yield url.replace("127.0.0.1", "device.example")
@@ -79,7 +79,7 @@ def rtu(folder: Path) -> Iterator[str]:
 
 PLACES: dict[str, Place] = {
     "tcp": tcp,
-    "named": named,
+    "named": host_name,
     "rtu+tcp": rtu_over_tcp,
     "udp": udp,
     "tls": tls,

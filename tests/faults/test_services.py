@@ -228,7 +228,7 @@ def finds(url: str) -> bool:
     return [each.unit for each in scan(url, units=[1], timeout=1)] == [1]
 
 
-def scanned(url: str) -> Scenario:
+def scanning(url: str) -> Scenario:
     def scenario(trial: Trial) -> None:
         with trial.faults(), scan(url, units=[1], timeout=SHORT) as units:
             for each in units:
@@ -238,7 +238,7 @@ def scanned(url: str) -> Scenario:
     return scenario
 
 
-def searched(url: str) -> Scenario:
+def searching(url: str) -> Scenario:
     def scenario(trial: Trial) -> None:
         with trial.faults(), search(url, timeout=SHORT, most_requests=8) as extents:
             assert {each.table for each in extents} <= set(TABLES)
@@ -250,9 +250,9 @@ def searched(url: str) -> Scenario:
 @pytest.mark.parametrize("kind", PLACES)
 def test_a_scan_leaves_nothing_after_errors_of_the_system(tmp_path: Path, kind: str) -> None:
     with PLACES[kind](tmp_path) as url:
-        try_faults(scanned(url), *SCAN)
+        try_faults(scanning(url), *SCAN)
 
 
 def test_a_search_leaves_nothing_after_errors_of_the_system(tmp_path: Path) -> None:
     with udp(tmp_path) as url:
-        try_faults(searched(f"{url}?unit=1"), *SCAN, errors=1)
+        try_faults(searching(f"{url}?unit=1"), *SCAN, errors=1)

@@ -20,7 +20,7 @@ from tests.support.sunspec import serving as sunspec_device
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
-def mapped(*arguments: object, code: int = 0) -> Result:
+def run_map(*arguments: object, code: int = 0) -> Result:
     result = run("map", *arguments)
     assert result.code == code, result.err
     return result
@@ -36,7 +36,7 @@ def url() -> Iterator[str]:
 @pytest.mark.parametrize("suffix", [".toml", ".csv"])
 def test_a_skeleton_reads_what_the_device_has(url: str, tmp_path: Path, suffix: str) -> None:
     file = tmp_path / f"found{suffix}"
-    result = mapped("from-device", url.removeprefix("tcp://"), "-u", "3", "-o", file)
+    result = run_map("from-device", url.removeprefix("tcp://"), "-u", "3", "-o", file)
     assert result.out == ""
     assert result.err == f"{file}: 5 points; fill in names, types and units\n"
     with Client(url, unit=3, timeout=5) as plc:
@@ -54,7 +54,7 @@ def test_a_skeleton_reads_what_the_device_has(url: str, tmp_path: Path, suffix: 
 def test_a_skeleton_of_very_much_has_ranges(tmp_path: Path) -> None:
     device = Device(Mapping(coils=5000, input_registers=3))
     with Server(device).background("tcp://127.0.0.1:0") as running:
-        result = mapped("from-device", running.urls[0])
+        result = run_map("from-device", running.urls[0])
     (tmp_path / "found.toml").write_text(result.out)
     skeleton = load_map(tmp_path / "found.toml")
     assert [(each.name, each.count) for each in skeleton.values()] == [
@@ -65,7 +65,7 @@ def test_a_skeleton_of_very_much_has_ranges(tmp_path: Path) -> None:
 
 def test_a_silent_unit_gives_no_map(url: str, tmp_path: Path) -> None:
     file = tmp_path / "found.csv"
-    result = mapped("from-device", url, "--unit", "9", "-o", file, code=1)
+    result = run_map("from-device", url, "--unit", "9", "-o", file, code=1)
     assert result.err == "libmodbus-py: no table can be read: the unit does not answer any more\n"
     assert not file.exists()
 
@@ -93,10 +93,10 @@ def test_ctrl_c_keeps_what_was_found(tmp_path: Path) -> None:
 
 
 def test_the_maps_that_come_with_the_package() -> None:
-    listed = mapped("list").out.splitlines()
+    listed = run_map("list").out.splitlines()
     assert "sdm120       Eastron SDM120-Modbus, a single-phase meter" in listed
     for line in listed:
-        assert mapped("check", EXAMPLES / f"{line.split()[0]}.csv").code == 0
+        assert run_map("check", EXAMPLES / f"{line.split()[0]}.csv").code == 0
         assert len(line.split()) > 2
 
 

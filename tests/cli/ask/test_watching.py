@@ -30,7 +30,7 @@ def running(mapping: Mapping) -> Iterator[Running]:
         yield running
 
 
-def interrupted(process: Started) -> str:
+def stop(process: Started) -> str:
     """Press Ctrl-C, and return what was printed to the standard error."""
     process.send_signal(signal.SIGINT)
     _, err = process.communicate()
@@ -44,7 +44,7 @@ def test_a_pipe_gets_a_line_for_each_poll_at_once(running: Running, mapping: Map
         mapping.holding_registers[1] = 7
         while not process.stdout.readline().endswith("  0 7\n"):
             pass
-        assert interrupted(process) == ""
+        assert stop(process) == ""
 
 
 def test_a_server_that_goes_and_comes_back_is_shown(mapping: Mapping) -> None:
@@ -59,7 +59,7 @@ def test_a_server_that_goes_and_comes_back_is_shown(mapping: Mapping) -> None:
             with Server(Device(mapping)).background(url):
                 while "values" not in json.loads(watching.stdout.readline()):
                     pass
-                interrupted(watching)
+                stop(watching)
 
 
 def test_a_watch_polls_at_its_interval(running: Running) -> None:
@@ -69,7 +69,7 @@ def test_a_watch_polls_at_its_interval(running: Running) -> None:
             datetime.fromisoformat(json.loads(process.stdout.readline())["time"]) for _ in range(4)
         ]
         assert (times[3] - times[0]).total_seconds() > 0.25
-        interrupted(process)
+        stop(process)
 
 
 def test_who_answers_nothing_is_not_asked_for_the_rest() -> None:
@@ -130,7 +130,7 @@ def test_hostile_servers_are_one_line_for_each_poll(data: bytes) -> None:
             with Started("read", url, *arguments) as process:
                 for _ in range(3):
                     assert "error" in json.loads(process.stdout.readline())
-                assert interrupted(process) == ""
+                assert stop(process) == ""
         finally:
             end.set()
             listening.shutdown(socket.SHUT_RDWR)

@@ -95,7 +95,7 @@ class Started:
 
 
 @contextlib.contextmanager
-def started(folder: Path, name: str, how: str = "") -> Iterator[Started]:
+def start(folder: Path, name: str, how: str = "") -> Iterator[Started]:
     (folder / "map.csv").write_text("name,table,address\nx,holding_registers,0\n")
     if how == "waiting":
         os.mkfifo(folder / "gate")
@@ -128,7 +128,7 @@ def being_read(folder: Path, text: str) -> Iterator[None]:
 
 @NAMES
 def test_a_terminal_that_closes_ends_it(tmp_path: Path, name: str) -> None:
-    with started(tmp_path, name) as command:
+    with start(tmp_path, name) as command:
         command.hang_up()
         os.close(command.master)
         assert command.process.wait(20) == 0
@@ -137,7 +137,7 @@ def test_a_terminal_that_closes_ends_it(tmp_path: Path, name: str) -> None:
 
 @NAMES
 def test_under_nohup_a_hangup_ends_no_command(tmp_path: Path, name: str) -> None:
-    with started(tmp_path, name, "nohup") as command:
+    with start(tmp_path, name, "nohup") as command:
         os.close(command.master)
         command.hang_up()
         command.hang_up()
@@ -146,7 +146,7 @@ def test_under_nohup_a_hangup_ends_no_command(tmp_path: Path, name: str) -> None
 
 @NAMES
 def test_what_it_reads_at_its_start_is_read_again(tmp_path: Path, name: str) -> None:
-    with started(tmp_path, name, "waiting") as command:
+    with start(tmp_path, name, "waiting") as command:
         with being_read(tmp_path, FILES[name]):
             command.process.send_signal(signal.SIGHUP)
         until(lambda: SAID in command.said or command.process.poll() is not None)
@@ -155,7 +155,7 @@ def test_what_it_reads_at_its_start_is_read_again(tmp_path: Path, name: str) -> 
 
 @NAMES
 def test_a_terminal_that_closes_while_it_starts_ends_it(tmp_path: Path, name: str) -> None:
-    with started(tmp_path, name, "waiting") as command:
+    with start(tmp_path, name, "waiting") as command:
         with being_read(tmp_path, FILES[name]):
             os.close(command.master)
         assert command.process.wait(20) == 0
@@ -164,7 +164,7 @@ def test_a_terminal_that_closes_while_it_starts_ends_it(tmp_path: Path, name: st
 
 @NAMES
 def test_a_command_that_cannot_start_says_why(tmp_path: Path, name: str) -> None:
-    with started(tmp_path, name, "waiting") as command:
+    with start(tmp_path, name, "waiting") as command:
         with being_read(tmp_path, "x = 1"):
             command.process.send_signal(signal.SIGHUP)
         assert command.process.wait(20) == 2

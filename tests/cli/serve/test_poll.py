@@ -56,7 +56,7 @@ def fleet(tmp_path: Path) -> Iterator[Path]:
         yield tmp_path / "fleet.toml"
 
 
-def started(*arguments: object) -> Started:
+def start(*arguments: object) -> Started:
     return Started("poll", *arguments)
 
 
@@ -120,7 +120,7 @@ def test_it_is_said_how_a_list_of_devices_was_read(fleet: Path) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_with_a_summary(fleet: Path, number: signal.Signals) -> None:
-    with started(fleet) as polling:
+    with start(fleet) as polling:
         first = json.loads(polling.stdout.readline())
         assert first["device"] in ("one", "two", "gone")
         polling.send_signal(number)
@@ -143,7 +143,7 @@ def test_a_signal_while_all_wait_ends_it(tmp_path: Path) -> None:
             f"[[device]]\nname = 'a'\nurl = 'tcp://127.0.0.1:{port}?timeout=60'\n"
             f"[[device]]\nname = 'b'\nurl = 'tcp://127.0.0.1:{silent.getsockname()[1]}?timeout=60'\n"
         )
-        with started(path) as polling:
+        with start(path) as polling:
             silent.settimeout(LONGEST)
             peer, _ = silent.accept()
             with peer:
@@ -222,7 +222,7 @@ def test_polls_go_to_files_and_metrics(fleet: Path) -> None:
         'modbus_fleet_value{device="one",name="voltage",site="here",unit="V"} 230.5',
         'modbus_fleet_value{device="two",name="voltage",unit="V"} 230.5',
     )
-    with started(fleet, "--csv", rows, "--metrics", "127.0.0.1:0") as polling:
+    with start(fleet, "--csv", rows, "--metrics", "127.0.0.1:0") as polling:
         message = polling.stderr.readline()
         assert message.startswith("metrics on http://127.0.0.1:")
         url = message.split()[-1]
@@ -264,7 +264,7 @@ def with_journal(fleet: Path) -> Path:
 
 def test_a_journal_is_told_of_at_the_end_and_used_by_one_program(fleet: Path) -> None:
     file = with_journal(fleet)
-    with started(file, "--json") as process:
+    with start(file, "--json") as process:
         ids = [json.loads(process.stdout.readline())["id"] for _ in range(10)]
         assert ids == list(range(ids[0], ids[0] + 10))
         code, _, err = run("poll", file)

@@ -153,7 +153,7 @@ def test_files_of_certificates_are_read_again_on_hangup(command: list[str], pki:
         crl.write_bytes(certificates.revocation_list(certificates.client("Operator")))
         process.send_signal(signal.SIGHUP)
         assert reload_line(process) == "certificates and passwords: read again"
-        until(lambda: shown(port) == renewed.der)
+        until(lambda: page_on(port) == renewed.der)
         with pytest.raises(ModbusConnectionError, match="refused our certificate"):
             Client(f"tls://127.0.0.1:{port}", security=pki.client()).read_holding_registers(0, 1)
         with Client(f"tls://127.0.0.1:{port}", security=pki.client("Viewer")) as plc:
@@ -197,5 +197,5 @@ def test_one_line_says_what_became_of_all_files(name: str, pki: Pki, tmp_path: P
     assert not [line for line in lines[2:] if "read again" in line or "former" in line]
 
 
-def shown(port: int) -> bytes:
+def page_on(port: int) -> bytes:
     return ssl.PEM_cert_to_DER_cert(ssl.get_server_certificate(("127.0.0.1", port)))

@@ -122,14 +122,14 @@ def test_prometheus_asks_for_the_values(plant: Path, tmp_path: Path) -> None:
             try:
                 listens(prometheus, port.number)
                 query = urllib.parse.urlencode({"query": block(section, "text")})
-                (sample,) = answered(f"http://127.0.0.1:{port.number}/api/v1/query?{query}")
+                (sample,) = answer_of(f"http://127.0.0.1:{port.number}/api/v1/query?{query}")
             finally:
                 prometheus.terminate()
     assert sample["value"][1] == "230.5"
     assert sample["metric"]["device"] == "north"
 
 
-def answered(url: str) -> list[dict[str, Any]]:
+def answer_of(url: str) -> list[dict[str, Any]]:
     """Return the result of a query, as soon as there is one."""
     for _ in range(int(LONGEST * 50)):
         try:

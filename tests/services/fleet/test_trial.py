@@ -11,7 +11,7 @@ from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, si
 from tests.support.cases import each_case
 
 
-async def tried(*devices: object) -> dict[str, Tried]:
+async def trials(*devices: object) -> dict[str, Tried]:
     return {each.device.name: each async for each in trying(devices)}  # type: ignore[arg-type]
 
 
@@ -25,7 +25,7 @@ async def test_the_time_of_each_poll_is_told() -> None:
         first, second = (
             meter(name, peer.url, unit=unit, timeout=9) for unit, name in ((1, "a"), (2, "b"))
         )
-        results = await tried(first, second)
+        results = await trials(first, second)
     assert results["a"].seconds == pytest.approx(2, abs=0.01)
     assert results["b"].seconds == pytest.approx(3, abs=0.01)
     assert {each.problem for each in results.values()} == {""}
@@ -46,7 +46,7 @@ async def test_a_device_has_one_request_at_a_time() -> None:
 
     points = [Point(f"p{place}", "holding_registers", place) for place in (0, 500, 1000)]
     async with Peer(slow) as peer:
-        results = await tried(meter("a", peer.url, map=RegisterMap(points)))
+        results = await trials(meter("a", peer.url, map=RegisterMap(points)))
     assert (results["a"].requests, results["a"].problem, most) == (3, "", 1)
 
 
@@ -59,7 +59,7 @@ async def test_the_first_of_the_values_that_cannot_be_is_told() -> None:
 
     async with Server({1: device}).serving("tcp://127.0.0.1:0") as running:
         url = running.urls[0]
-        results = await tried(
+        results = await trials(
             meter("both", url, map=RegisterMap(points)),
             meter("last", url, map=RegisterMap(points[::2])),
             meter("none", url, map=RegisterMap(points[:1])),
@@ -100,13 +100,13 @@ async def test_a_defect_ends_the_trial(monkeypatch: pytest.MonkeyPatch) -> None:
     async with Peer() as peer, Peer(silent) as dead:
         devices = meter("a", peer.url), meter("b", dead.url, timeout=60)
         with pytest.raises(RuntimeError, match="a defect"):
-            await tried(*devices)
+            await trials(*devices)
 
 
 @in_simulated_time
 async def test_devices_that_do_not_answer_are_told_with_the_reason() -> None:
     async with Peer() as peer, Peer(silent) as dead:
-        results = await tried(
+        results = await trials(
             meter("good", peer.url),
             meter("dead", f"{dead.url}?timeout=0.1"),
             meter("dead too", f"{dead.url}?timeout=0.1", unit=2),

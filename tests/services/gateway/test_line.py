@@ -26,7 +26,7 @@ from tests.support.cases import each_case
 TOLD = "libmodbus_py.services.gateway"
 
 
-def told(caplog: pytest.LogCaptureFixture) -> list[str]:
+def logged(caplog: pytest.LogCaptureFixture) -> list[str]:
     """Return what was logged, without the names of lines."""
     return [text.rpartition(": ")[2] for text in caplog.messages]
 
@@ -54,7 +54,7 @@ async def test_a_silent_unit_rests_and_is_tried_by_one_request(plant: Plant, cap
     await asyncio.sleep(1)
     assert first.answers[1:] == [answer_of(9, 2)]
     assert not plant.unit(9).is_silent
-    assert told(caplog) == ["unit 9 does not answer", "unit 9 answers again"]
+    assert logged(caplog) == ["unit 9 does not answer", "unit 9 answers again"]
 
 
 @on_line("tcp://10.0.0.1?timeout=0.5")
@@ -102,7 +102,7 @@ async def test_a_unit_that_answers_nothing_rests(plant: Plant, caplog) -> None:
     plant.ask(9, asker, UNKNOWN)  # it rests no longer than its unit
     await asyncio.sleep(1)
     assert asker.answers[-1] == "0800000001"
-    assert told(caplog) == [
+    assert logged(caplog) == [
         "unit 9 does not answer function 8",
         "unit 9 does not answer",
         "unit 9 answers again",
@@ -129,7 +129,7 @@ async def test_requests_of_a_silent_function_are_refused_together_until_it_answe
         plant.ask(9, asker, UNKNOWN)
         await asyncio.sleep(1)
     assert asker.answers[2:] == ["0800000001", "0800000001"]
-    assert told(caplog)[-1] == "unit 9 answers function 8 again"
+    assert logged(caplog)[-1] == "unit 9 answers function 8 again"
 
 
 @on_line()
@@ -393,7 +393,7 @@ async def test_a_device_that_is_not_there_is_told_once_and_when_it_is_back(
     assert (plant.unit(1).lost, plant.unit(1).is_silent) == (2, False)
     assert len(caplog.messages) == 2
     assert caplog.messages[0].endswith("; trying again")
-    assert told(caplog)[1] == "open again"
+    assert logged(caplog)[1] == "open again"
 
 
 @on_line("tcp://10.0.0.1")

@@ -52,7 +52,7 @@ def recorded(lan: Lan, events: Events, **options: Any) -> Iterator[Client]:
         yield context
 
 
-def told(events: Events) -> list[tuple[str, int | None, int | None, str]]:
+def rows(events: Events) -> list[tuple[str, int | None, int | None, str]]:
     return [(each.event, each.unit, each.function, each.result) for each in events]
 
 
@@ -66,7 +66,7 @@ def test_a_write_is_recorded_with_its_outcome(lan: Lan, events: Events) -> None:
         context.for_unit(0).write_register(0, 5)
         context.read_holding_registers(0, 1)
     silent = "gateway target device failed to respond (exception 11)"
-    assert told(events) == [
+    assert rows(events) == [
         ("write", 1, 6, "ok"),
         ("write", 2, 6, silent),
         ("write", 2, 6, silent),
@@ -88,7 +88,7 @@ def test_reads_are_recorded_that_a_rule_refuses_and_no_others(lan: Lan, events: 
             with pytest.raises(ExceptionResponse):
                 context.for_unit(2).read_holding_registers(0, 1)
     refused = "illegal function (exception 1)"
-    assert told(events) == [("refused", 1, 1, refused), ("write", 1, 6, refused)]
+    assert rows(events) == [("refused", 1, 1, refused), ("write", 1, 6, refused)]
 
 
 def test_an_authorize_that_raises_is_recorded_and_answers_like_it_are_not(
@@ -110,7 +110,7 @@ def test_an_authorize_that_raises_is_recorded_and_answers_like_it_are_not(
             with pytest.raises(IllegalFunction):  # neither has such a function
                 client.execute(pdu.EncapsulatedTransport(13, b""))
     illegal, busy = "illegal function (exception 1)", "server device busy (exception 6)"
-    assert [each for each in told(events) if each[0] == "refused"] == [
+    assert [each for each in rows(events) if each[0] == "refused"] == [
         ("refused", unit, function, result)
         for unit in (1, 255)
         for function, result in ((1, illegal), (2, busy))
@@ -132,10 +132,10 @@ def test_a_write_whose_client_is_gone_is_recorded_once(lan: Lan, events: Events)
         first.close()
         second.reset()
         lan.pass_time(1)
-        assert told(events) == [("write", 1, 6, "no answer")]
+        assert rows(events) == [("write", 1, 6, "no answer")]
         gate.open()
         lan.pass_time(5)
-    assert told(events) == [("write", 1, 6, "no answer"), ("write", 1, 6, "ok")]
+    assert rows(events) == [("write", 1, 6, "no answer"), ("write", 1, 6, "ok")]
     assert gate.kinds == ["write"]
 
 

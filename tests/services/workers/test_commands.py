@@ -15,7 +15,7 @@ from libmodbus_py.fleet import Output, Reading
 from libmodbus_py.services.fleet.commands import Commands
 from libmodbus_py.services.workers import messages
 from libmodbus_py.services.workers.records import FleetSettings
-from tests.services.workers.trial import INTERVAL, LEASE, Trial, tried
+from tests.services.workers.trial import INTERVAL, LEASE, Trial, on_trial
 from tests.simulation.engine import EngineClient
 from tests.simulation.runner import runner_of
 from tests.simulation.workers import push_fleet
@@ -234,7 +234,7 @@ class Broker(Output):
     async def write_readings(self, readings: Sequence[Reading]) -> None: ...
 
 
-@tried(4)
+@on_trial(4)
 async def test_one_of_two_workers_answers_what_comes_over_a_broker(trial: Trial) -> None:
     brokers = [Broker(), Broker()]
 

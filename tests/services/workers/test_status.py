@@ -58,7 +58,7 @@ def empty(settings: bytes | None = FleetSettings(LEASE).encode()) -> tuple[Netwo
     return network, engine
 
 
-def seen(network: Network, engine: Engine, report: Any = REPORT) -> dict[str, Any]:
+def status_of(network: Network, engine: Engine, report: Any = REPORT) -> dict[str, Any]:
     """Look at the fleet for a quarter of a lease, while one of its workers tells of itself."""
 
     async def main() -> dict[str, Any]:
@@ -80,7 +80,7 @@ def seen(network: Network, engine: Engine, report: Any = REPORT) -> dict[str, An
 
 
 def test_a_status_has_workers_zones_and_sums() -> None:
-    status = seen(*plant())
+    status = status_of(*plant())
     assert [(each["id"], each["state"], each["slots"]) for each in status["workers"]] == [
         ("alive.1", "here", 1),
         ("ended.3", "ended", 0),
@@ -114,7 +114,7 @@ def test_an_unreadable_record_is_shown_as_not_polled(zone: str, value: object, w
         slot = Connection(zone, KEY, 1.0, "{}").slot
         engine.write(f"connection.{zone or '_'}.{digest_of(KEY)}", json.dumps(value).encode())
         engine.write(slot.key, encode_holder("alive.1", "alive.1"))
-    status = seen(network, engine)
+    status = status_of(network, engine)
     assert is_polled(status) == (not value)
     assert len(status["unreadable"]) == bool(value)
     if value:
@@ -124,7 +124,7 @@ def test_an_unreadable_record_is_shown_as_not_polled(zone: str, value: object, w
 
 
 def test_tables_say_the_same_to_be_read() -> None:
-    status = seen(*plant())
+    status = status_of(*plant())
     status["workers"][0]["zones"] = ["east", "north"]
     status["workers"][1]["id"] = "e" * 30
     status["zones"]["z" * 30] = status["zones"].pop("south")
@@ -145,7 +145,7 @@ unreadable: worker.odd.4: zones is missing"""
 
 
 def test_numbers_of_a_report_that_are_none_count_as_nothing() -> None:
-    status = seen(*plant(), report={"polls": "many", "up": "NaN", "down": 2})
+    status = status_of(*plant(), report={"polls": "many", "up": "NaN", "down": 2})
     numbers = {"connections": 0, "devices": 0, "up": 0, "down": 2, "polls": 0}
     assert status["workers"][0].items() >= numbers.items()
 
@@ -159,5 +159,5 @@ def test_numbers_of_a_report_that_are_none_count_as_nothing() -> None:
 )
 def test_a_bucket_without_a_fleet_has_no_status(settings: bytes | None, message: str) -> None:
     with pytest.raises(EngineError) as refused:
-        seen(*empty(settings))
+        status_of(*empty(settings))
     assert str(refused.value) == f"modbus-fleet: {message}"

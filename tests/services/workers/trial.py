@@ -212,7 +212,7 @@ class Trial:
         return [(at, by, each.device) for at, by, each in self.told if each.quality == "offline"]
 
 
-def tried(connections: int, *workers: str, **options: Any) -> Callable[[Any], Any]:
+def on_trial(connections: int, *workers: str, **options: Any) -> Callable[[Any], Any]:
     """
     Make a test of a coroutine that is given a `Trial` first; no device is asked by two. `workers`:
     the names of those that share the devices when the test begins.

@@ -18,7 +18,7 @@ POINTS = RegisterMap(
 )
 
 
-def heard(*pairs: tuple[str, str]) -> list[Transaction]:
+def pairs_of(*pairs: tuple[str, str]) -> list[Transaction]:
     """Return transactions of unit 17 on a line: requests, and responses, empty for none."""
     separator, transactions, at = Separator("rtu"), list[Transaction](), 0.0
     for pair in pairs:
@@ -67,7 +67,7 @@ WRITTEN = ("valve", "secret")
 )
 def test_values_of_a_map_in_transactions(pairs, values) -> None:
     decoder = MapDecoder(POINTS)
-    decodings = [each for transaction in heard(*pairs) for each in decoder.decode(transaction)]
+    decodings = [each for transaction in pairs_of(*pairs) for each in decoder.decode(transaction)]
     assert [(each.name, each.value) for each in decodings] == values
     assert {each.unit for each in decodings} <= {17}
     assert all(each.reason == "" for each in decodings if each.value is not None)
@@ -88,7 +88,7 @@ def test_units_keep_their_own_cells() -> None:
 def test_a_map_is_learned_of_what_was_asked() -> None:
     learned = LearnedMap()
     again = ("03 006B 0003", "03 06 08FE 0001 0002")
-    for each in heard(READ_3, again, REFUSED, COIL, MASK, ("04 0010 0001", "84 02")):
+    for each in pairs_of(READ_3, again, REFUSED, COIL, MASK, ("04 0010 0001", "84 02")):
         learned.add_transaction(each)
     points = {each.name: each for each in learned.points()}
     assert {name: (each.access, each.description) for name, each in points.items()} == {

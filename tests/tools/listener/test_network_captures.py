@@ -165,11 +165,11 @@ SYN = packet(b"", 2**32 - 6, asks=True, flags=0x02, ports=(1024, 60502))
 SYN_ACK = packet(b"", 4, asks=False, flags=0x12, ports=(1024, 60502))
 
 
-def asked(data: bytes, number: int) -> bytes:
+def ask(data: bytes, number: int) -> bytes:
     return packet(data, number, asks=True, ports=(1024, 60502))
 
 
-def answered(data: bytes, number: int) -> bytes:
+def answer(data: bytes, number: int) -> bytes:
     return packet(data, number, asks=False, ports=(1024, 60502))
 
 
@@ -182,33 +182,33 @@ BOTH = ASKED + ASKED_2
     "packets",
     [
         # Several ADUs in a segment; one cut into bytes.
-        [SYN, SYN_ACK, asked(BOTH, FIRST), answered(ANSWERED + ANSWERED_2, 5)],
+        [SYN, SYN_ACK, ask(BOTH, FIRST), answer(ANSWERED + ANSWERED_2, 5)],
         [
             *(SYN, SYN_ACK),
-            *(asked(BOTH[at : at + 1], FIRST + at) for at in range(len(BOTH))),
-            answered(ANSWERED + ANSWERED_2, 5),
+            *(ask(BOTH[at : at + 1], FIRST + at) for at in range(len(BOTH))),
+            answer(ANSWERED + ANSWERED_2, 5),
         ],
         # Sent again: the same, longer, and after the response; each packet captured twice.
         [
-            *(SYN, SYN, SYN_ACK, asked(ASKED, FIRST), asked(ASKED, FIRST), asked(BOTH, FIRST)),
-            *(answered(ANSWERED, 5), asked(ASKED, FIRST), answered(ANSWERED + ANSWERED_2, 5)),
+            *(SYN, SYN, SYN_ACK, ask(ASKED, FIRST), ask(ASKED, FIRST), ask(BOTH, FIRST)),
+            *(answer(ANSWERED, 5), ask(ASKED, FIRST), answer(ANSWERED + ANSWERED_2, 5)),
         ],
         # In another order.
         [
-            *(SYN, SYN_ACK, asked(ASKED_2, FIRST + 12), asked(ASKED, FIRST)),
-            *(answered(ANSWERED_2, 20), answered(ANSWERED, 5)),
+            *(SYN, SYN_ACK, ask(ASKED_2, FIRST + 12), ask(ASKED, FIRST)),
+            *(answer(ANSWERED_2, 20), answer(ANSWERED, 5)),
         ],
         # A padded Ethernet frame, and a length of 0, as network cards that cut packets leave it.
-        [SYN, SYN_ACK, asked(BOTH, FIRST) + bytes(6), answered(ANSWERED + ANSWERED_2, 5)],
+        [SYN, SYN_ACK, ask(BOTH, FIRST) + bytes(6), answer(ANSWERED + ANSWERED_2, 5)],
         [
-            *(SYN, SYN_ACK, asked(BOTH, FIRST)),
-            answered(ANSWERED + ANSWERED_2, 5).replace(b"\x45\0\0\x43", b"\x45\0\0\0"),
+            *(SYN, SYN_ACK, ask(BOTH, FIRST)),
+            answer(ANSWERED + ANSWERED_2, 5).replace(b"\x45\0\0\x43", b"\x45\0\0\0"),
         ],
         # Not from the beginning, and another protocol beside it.
         [
             packet(b"SSH-2.0-OpenSSH_9.2\r\n", 5, asks=True, ports=(4000, 22)),
-            *(SYN, SYN_ACK, asked(ASKED[7:], FIRST), asked(BOTH, FIRST + 5)),
-            answered(ANSWERED + ANSWERED_2, 5),
+            *(SYN, SYN_ACK, ask(ASKED[7:], FIRST), ask(BOTH, FIRST + 5)),
+            answer(ANSWERED + ANSWERED_2, 5),
         ],
     ],
 )

@@ -43,7 +43,7 @@ def kinds(pieces: Iterable[Piece], framing: str = "rtu") -> list[str]:
     return [each.kind for each in listen(pieces, framing)]
 
 
-def named(pieces: Iterable[Piece], framing: str = "rtu") -> list[tuple[str, bytes]]:
+def parts_of(pieces: Iterable[Piece], framing: str = "rtu") -> list[tuple[str, bytes]]:
     frames: list[Heard] = []
     separator = Separator(framing, frames.append)  # type: ignore[arg-type]
     for at, data in pieces:
@@ -216,7 +216,7 @@ def test_repeats_are_counted_and_late_answers_named() -> None:
 def test_a_doubled_echo_is_unasked() -> None:
     pieces = [(0.0, WRITE), (1.0, WRITE), (1.01, WRITE), (1.02, WRITE), (1.05, ASK), (1.06, ANSWER)]
     assert kinds(pieces) == ["unanswered", "answered", "unasked", "answered"]
-    parts = [part for part, _ in named(pieces)]
+    parts = [part for part, _ in parts_of(pieces)]
     assert parts == ["request", "request", "response", "response", "request", "response"]
 
 
@@ -324,8 +324,8 @@ def test_scripts_of_any_size_give_the_same() -> None:
     """However the bytes are cut, and whenever they are seen, they mean the same."""
     writes = rtu("02 10 00 01 00 01 02 00 05") + rtu("02 10 00 01 00 01")
     data = ASK + ANSWER + WRITE + WRITE + writes
-    whole = named([(0.0, data)])
+    whole = parts_of([(0.0, data)])
     assert [part for part, _ in whole] == ["request", "response"] * 3
     for size in range(1, 20):
         pieces = [(0.0, data[at : at + size]) for at in range(0, len(data), size)]
-        assert named(pieces) == whole
+        assert parts_of(pieces) == whole

@@ -126,7 +126,7 @@ def traced(event: Event, endpoint: str) -> Traced:
     return Traced(event.at, endpoint, direction, event.adu, unit, function, event.peer)  # type: ignore[arg-type]
 
 
-def told(transactions: list[Transaction]) -> str:
+def texts(transactions: list[Transaction]) -> str:
     transactions = sorted(transactions, key=lambda each: each.time)
     where = ["" if each.unit is None else f"{each.unit}:{each.function} " for each in transactions]
     return ", ".join(f"{place}{each.kind}" for place, each in zip(where, transactions, strict=True))
@@ -137,7 +137,7 @@ def paired(events: list[Event], endpoint: str) -> str:
     for each in events:
         pairing.take(traced(each, endpoint))
     pairing.end()
-    return told([each.transaction for each in pairing.done])
+    return texts([each.transaction for each in pairing.done])
 
 
 @each_case(("events", "kinds"), ON_TCP)
@@ -155,7 +155,7 @@ def test_a_listener_between_both_says_the_same(events: list[Event], kinds: str) 
     separator, transactions = Separator("rtu"), []
     for at, direction, adu, _, _ in events:
         transactions += separator.feed(adu, at, "client" if direction == "received" else "server")
-    assert told(transactions + separator.end()) == kinds
+    assert texts(transactions + separator.end()) == kinds
 
 
 def test_a_response_that_comes_too_late_is_late() -> None:

@@ -96,7 +96,7 @@ def test_the_log_names_the_points_of_requests(request_: Any, response: Any, text
 
 
 @contextlib.contextmanager
-def talked() -> Iterator[Visitor]:
+def visitor_of() -> Iterator[Visitor]:
     """A visitor of a server to which a client wrote, and that refused something."""
     with page_of() as (_, url, visitor), Client(url, timeout=5) as plc, visitor.watching():
         plc.for_unit(1).write_register(2, 125)
@@ -115,7 +115,7 @@ def saved(visitor: Visitor, query: str) -> list[list[str]]:
 
 
 def test_the_saved_log_has_the_chosen_rows() -> None:
-    with talked() as visitor:
+    with visitor_of() as visitor:
         every = saved(visitor, "")
         assert every[0][:6] == ["time", "client", "unit", "function", "request", "points"]
         assert every[1][2:8] == [

@@ -184,7 +184,7 @@ def delete(path: str, *endings: str) -> None:
         os.unlink(f"{path}{each}")
 
 
-async def polled(broker: FakeOutput, count: int) -> None:
+async def poll_all(broker: FakeOutput, count: int) -> None:
     """Wait until an output has received so many more polls, in simulated time."""
     for _ in range(count):
         before = len(broker.ids)
@@ -198,7 +198,7 @@ def test_a_journal_that_was_deleted_is_replaced(path: str, endings, caplog) -> N
 
     async def lose(fleet: Fleet) -> None:
         delete(path, *endings)
-        await polled(broker, 10)
+        await poll_all(broker, 10)
         assert journal_of(fleet).trouble == ""
         away.is_away = False
         await until(lambda: fleet.statistics.outputs["away"].waiting == 0)
@@ -221,7 +221,7 @@ def test_a_journal_whose_changes_were_deleted_is_kept(path: str, caplog) -> None
 
     async def lose(fleet: Fleet) -> None:
         delete(path, "-wal")
-        await polled(broker, 10)
+        await poll_all(broker, 10)
 
     run_for(path, 100, broker, change=lose)
     assert in_journal(f"{path}-damaged") + in_journal(path) == broker.ids
@@ -239,7 +239,7 @@ def test_another_file_in_its_place_is_kept(path: str, tmp_path: Path) -> None:
 
     async def restore(fleet: Fleet) -> None:
         os.rename(copy, path)
-        await polled(broker, 10)
+        await poll_all(broker, 10)
 
     run_for(path, 100, broker, change=restore)
     assert in_journal(f"{path}-damaged") == older

@@ -34,7 +34,7 @@ def values(*numbers: Any) -> list[HistoricalValue]:
     return [at(time, number) for time, number in enumerate(numbers)]
 
 
-def left(values: list[HistoricalValue], length: float, most: int) -> list[float]:
+def times_of(values: list[HistoricalValue], length: float, most: int) -> list[float]:
     """Return the seconds of the values that stand for the others."""
     return [each.time - SINCE for each in thinned(values, SINCE, SINCE + length, most)]
 
@@ -56,7 +56,7 @@ def left(values: list[HistoricalValue], length: float, most: int) -> list[float]
     ],
 )
 def test_thinned_values_contain_the_extremes_of_each_span(history, length, most, times) -> None:
-    assert left(history, length, most) == times
+    assert times_of(history, length, most) == times
 
 
 @each_case(

@@ -199,7 +199,7 @@ def poll(device: str, at: float, **values: Any) -> list[Reading]:
     ]
 
 
-async def written(pump: Pump, readings: list[Reading]) -> None:
+async def write_all(pump: Pump, readings: list[Reading]) -> None:
     count = pump.statistics.written + len(readings)
     pump.buffer.put_readings(readings)
     await until(lambda: pump.statistics.written == count)
@@ -208,16 +208,16 @@ async def written(pump: Pump, readings: list[Reading]) -> None:
 async def test_a_retained_message_has_the_last_values_of_all_points(broker: Broker) -> None:
     """The broker retains one message of a topic; with changes only, a poll has few values."""
     async with pumping(Mqtt(broker.url, topic=TOPIC)) as pump:
-        await written(pump, poll("a", 0, x=1, y=2))
-        await written(pump, [*poll("a", 1, y=3), *poll("a", 2, z=4)])
+        await write_all(pump, poll("a", 0, x=1, y=2))
+        await write_all(pump, [*poll("a", 1, y=3), *poll("a", 2, z=4)])
         offline = Reading(103.0, "a", "x", None, "V", "offline")
         async with hearing(broker, "plant/+") as messages:
             await until(lambda: messages)
             assert plain(messages[-1][1]) == {"x": 1, "y": 3, "z": 4}
-            await written(pump, [offline])
+            await write_all(pump, [offline])
             await until(lambda: len(messages) == 2)
             assert plain(messages[-1][1]) == {"x": None, "y": 3, "z": 4}
-            await written(pump, poll("a", 4, y=5))
+            await write_all(pump, poll("a", 4, y=5))
             await until(lambda: len(messages) == 3)
             assert plain(messages[-1][1]) == {"y": 5, "z": 4}
 
@@ -227,7 +227,7 @@ async def test_polls_above_the_largest_message_are_several(broker: Broker) -> No
     output = Mqtt(broker.url, topic=TOPIC, retain=False, max_message=2000)
     async with pumping(output) as pump:
         async with hearing(broker, "plant/+") as notes:
-            await written(pump, poll("a", 0, **{f"point_{at}": at for at in range(100)}))
+            await write_all(pump, poll("a", 0, **{f"point_{at}": at for at in range(100)}))
             await until(lambda: notes and len(notes) == notes[0][1]["parts"])
         messages = payloads(notes, "plant/a")
         assert [each["part"] for each in messages] == list(range(1, len(messages) + 1))

@@ -30,13 +30,13 @@ class Last(bytes):
     """An answer, behind which the connection is closed."""
 
 
-def answered(status: str, body: bytes = b"", *headers: str) -> bytes:
+def response(status: str, body: bytes = b"", *headers: str) -> bytes:
     lines = "".join(f"{each}\r\n" for each in headers)
     head = f"HTTP/1.1 {status}\r\nContent-Length: {len(body)}\r\n{lines}\r\n"
     return head.encode() + body
 
 
-NO_CONTENT = answered("204 No Content")
+NO_CONTENT = response("204 No Content")
 
 
 class Received(NamedTuple):
@@ -141,23 +141,23 @@ async def test_an_empty_write_asks_nothing() -> None:
 @each_case(
     ("answer", "error", "message"),
     [
-        (answered("400 Bad", b'{"error":"partial write"}'), ValueError, "400 .*partial write"),
-        (answered("413 Too Large"), ValueError, "413"),
-        (answered("422 Unprocessable"), ValueError, "422"),
-        (answered("401 Unauthorized", b"who is s3cret?"), OSError, "401 who is \\*\\*\\*\\?$"),
-        (answered("403 Forbidden"), OSError, "403"),
-        (answered("404 Not Found", b"no database"), OSError, "404 no database"),
-        (answered("500 Broken"), OSError, "500"),
-        (answered("503 Busy"), OSError, "503"),
+        (response("400 Bad", b'{"error":"partial write"}'), ValueError, "400 .*partial write"),
+        (response("413 Too Large"), ValueError, "413"),
+        (response("422 Unprocessable"), ValueError, "422"),
+        (response("401 Unauthorized", b"who is s3cret?"), OSError, "401 who is \\*\\*\\*\\?$"),
+        (response("403 Forbidden"), OSError, "403"),
+        (response("404 Not Found", b"no database"), OSError, "404 no database"),
+        (response("500 Broken"), OSError, "500"),
+        (response("503 Busy"), OSError, "503"),
         # Servers that lie, and other programs at this port.
         (
-            answered("200 OK", b"<html>welcome</html>"),
+            response("200 OK", b"<html>welcome</html>"),
             OSError,
             "answered 200 to a write, InfluxDB 204",
         ),
-        (answered("302 Found", b"", "Location: http://192.0.2.9/"), OSError, "302"),
-        (answered("400 Bad", b"\x1b[2Jred"), ValueError, r"400 \\x1b\[2Jred"),
-        (answered("999 What"), OSError, "999"),
+        (response("302 Found", b"", "Location: http://192.0.2.9/"), OSError, "302"),
+        (response("400 Bad", b"\x1b[2Jred"), ValueError, r"400 \\x1b\[2Jred"),
+        (response("999 What"), OSError, "999"),
         (Last(b"SSH-2.0-OpenSSH\r\n"), ConnectionError, None),
         (Last(b"HTTP/1.1 204 No Content\r\nContent-Len"), ConnectionError, None),
         (None, ConnectionError, None),

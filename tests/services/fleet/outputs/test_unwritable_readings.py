@@ -37,7 +37,7 @@ def polls(devices: str, first: int = 0) -> list[Reading]:
     ]
 
 
-async def ended(pump: Pump) -> None:
+async def end_of(pump: Pump) -> None:
     await until(lambda: not pump.buffer)
 
 
@@ -47,13 +47,13 @@ def played(output: FakeOutput, play: Callable[[Pump], Awaitable[object]]) -> Out
     async def go() -> OutputStatistics:
         async with pumping(output) as pump:
             await play(pump)
-            await ended(pump)
+            await end_of(pump)
         return pump.statistics
 
     return simulated_run(go())
 
 
-def written(output: FakeOutput, devices: str, later: str = "") -> OutputStatistics:
+def write_all(output: FakeOutput, devices: str, later: str = "") -> OutputStatistics:
     """Write polls until none waits or one is refused, then `later`; return the counts."""
 
     async def play(pump: Pump) -> None:
@@ -66,7 +66,7 @@ def written(output: FakeOutput, devices: str, later: str = "") -> OutputStatisti
 
 def test_a_poll_that_can_never_be_written_is_dropped_and_the_others_are_written(caplog) -> None:
     output = FakeOutput(refused=("b", "d"))
-    statistics = written(output, "abcde")
+    statistics = write_all(output, "abcde")
     assert [each.device for each in output.accepted] == list("aaccee")
     assert (statistics.dropped, statistics.written) == (4, 6)
     assert errors(caplog) == [f"fake: 2 readings of {each} are dropped: too long" for each in "bd"]
@@ -91,7 +91,7 @@ def test_an_output_that_raises_when_closed_is_opened_again() -> None:
             raise RuntimeError("a bug")
 
     output = Clumsy(refused=("b",))
-    assert written(output, "abc").dropped == 2
+    assert write_all(output, "abc").dropped == 2
     assert [each.device for each in output.accepted] == list("aacc")
 
 
@@ -129,7 +129,7 @@ async def test_once_waits_for_a_slow_output_and_ends_after_a_failure(is_gone, co
 )
 def test_a_refused_poll_is_dropped_and_all_others_are_written(devices: str, refused: str) -> None:
     output = FakeOutput(refused=refused, error=LOST)
-    statistics = written(output, devices, later="ab")
+    statistics = write_all(output, devices, later="ab")
     good = [each for each in polls(devices) if each.device not in refused]
     assert statistics.dropped == len(polls(devices)) - len(good)
     assert statistics.written == len(good) + 4
@@ -137,7 +137,7 @@ def test_a_refused_poll_is_dropped_and_all_others_are_written(devices: str, refu
 
 
 def test_a_poll_that_is_dropped_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
-    written(FakeOutput(refused="b", error=LOST), "abc")
+    write_all(FakeOutput(refused="b", error=LOST), "abc")
     assert errors(caplog) == [
         "fake: 2 readings of b are dropped: others were accepted and these were not,"
         " several times: the connection was lost"
@@ -151,7 +151,7 @@ def test_an_output_of_one_device_writes_its_later_polls() -> None:
             await super().write_readings(readings)
 
     output = OnePoll(error=LOST)
-    assert written(output, "aaaa").dropped == 2
+    assert write_all(output, "aaaa").dropped == 2
     assert [each.value for each in output.accepted][-4:] == [2, 2, 3, 3]
 
 
@@ -159,7 +159,7 @@ def test_an_output_of_one_device_writes_its_later_polls() -> None:
 def test_an_output_that_was_away_gets_all_readings_and_the_newest_last(away: int) -> None:
     every = polls("abcabcab")
     output = FakeOutput(next=[LOST] * away)
-    statistics = written(output, "abcabcab")
+    statistics = write_all(output, "abcabcab")
     assert (statistics.dropped, statistics.written) == (0, 16)
     assert {*map(str, output.accepted)} == {*map(str, every)}
     newest = {each.device: each.value for each in output.accepted}
@@ -186,7 +186,7 @@ async def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
         pump.buffer.put_readings(polls("x"))
         await until(lambda: output.failed > 3)
         pump.buffer.put_readings(polls("bcd"))
-        await ended(pump)
+        await end_of(pump)
     assert {each.device for each in output.accepted} <= set("bcd")
     assert pump.statistics.written + pump.statistics.dropped == 8
     assert pump.statistics.written >= 4
@@ -199,7 +199,7 @@ def test_a_loss_after_a_refused_poll_drops_nothing() -> None:
     async def play(pump: Pump) -> None:
         pump.buffer.put_readings(polls("abc"))
         await until(lambda: pump.statistics.dropped)
-        await ended(pump)
+        await end_of(pump)
         output.next = [LOST, LOST]
         pump.buffer.put_readings(polls("ac", first=3))
 
@@ -237,7 +237,7 @@ def test_a_device_that_is_accepted_again_is_believed_again() -> None:
         await until(lambda: pump.statistics.dropped)
         output.refused = ""
         pump.buffer.put_readings(polls("abc", first=3))
-        await ended(pump)
+        await end_of(pump)
         output.refused = "b"
         pump.buffer.put_readings(polls("abc", first=6))
         await until(lambda: output.failed > 6)
