@@ -111,16 +111,16 @@ class OneWorker:
         return set(self.worker.active)
 
 
-def written(puts: list[Put]) -> dict[str, Any]:
+def records(puts: list[Put]) -> dict[str, Any]:
     """Return what stands in writes: the state of a worker, the holder of a slot, or None."""
-    records: dict[str, Any] = {}
+    states: dict[str, Any] = {}
     for put in puts:
         record = decode(put.key, put.value) if put.value is not None else None
         if isinstance(record, Member):
-            records[put.key] = record.state
+            states[put.key] = record.state
         else:
-            records[put.key] = record.holder if isinstance(record, Holding) else None
-    return records
+            states[put.key] = record.holder if isinstance(record, Holding) else None
+    return states
 
 
 def every(start: float, end: float, pause: float = 1.0) -> list[float]:
