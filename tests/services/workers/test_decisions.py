@@ -144,15 +144,15 @@ class TestSlots:
 class TestAcknowledgements:
     def test_a_connection_waits_until_all_others_have_seen_it(self) -> None:
         one = OneWorker(LINE)
-        one.member("b.1", 0.0, seen=0)
+        one.member("b.1", 0.0, revision=0)
         one.hold(LINE, "m.1", by="m.1")
         one.step(0.0)
         assert one.polled() == set()
         touched = one.worker.view.touched_at(LINE)
-        one.member("b.1", 0.5, seen=touched - 1)
+        one.member("b.1", 0.5, revision=touched - 1)
         one.step(0.5)
         assert one.polled() == set()
-        one.member("b.1", 0.6, seen=touched)
+        one.member("b.1", 0.6, revision=touched)
         one.step(0.6)
         assert one.polled() == {LINE.key}
 
@@ -196,8 +196,8 @@ class TestBucketThatLies:
 
     def test_a_worker_that_claims_to_have_seen_all_speaks_for_itself_only(self) -> None:
         one = OneWorker(LINE)
-        one.member("b.1", seen=10**30)
-        one.member("c.1", seen=0)
+        one.member("b.1", revision=10**30)
+        one.member("c.1", revision=0)
         one.hold(LINE, "m.1", by="m.1")
         one.step(0.0)
         assert one.polled() == set()
