@@ -4,7 +4,7 @@ Run the interoperability tests and print what works with whom, as a Markdown tab
     python packaging/interop_report.py [options for pytest, such as -n 2]
 
 The table is read off the ids of the tests, and off those that they record for the
-cases of their tables (interop.case_id, interop.tried). Ends with pytest's exit status.
+cases of their tables (interop.case_id, interop.try_cases). Ends with pytest's exit status.
 """
 
 import re

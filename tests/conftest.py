@@ -13,7 +13,7 @@ from hypothesis import settings
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.client.history import forget_lines
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.c_programs import SOURCES, compile_c
 from tests.support.certificates import Pki
 from tests.support.clients import KINDS, Connect, connecting
@@ -100,10 +100,10 @@ def device(mapping: Mapping) -> Device:
 
 
 @pytest.fixture
-def stage() -> Iterator[Stage]:
+def lan() -> Iterator[Lan]:
     """A network in memory, on which seconds pass only while the test waits."""
-    with Stage() as stage:
-        yield stage
+    with Lan() as lan:
+        yield lan
 
 
 @pytest.fixture

@@ -60,6 +60,6 @@ INFO = ("--log", "info")
 def reload_line(process: Started) -> str:
     """Return the next line about files that were read again, of a command at the level of INFO."""
     for line in process.stderr:
-        if found := re.match(r"\S+ (?:info|warning) +cli\.serve\.\w+: (.*)\n", line):
-            return found[1]
+        if match := re.match(r"\S+ (?:info|warning) +cli\.serve\.\w+: (.*)\n", line):
+            return match[1]
     raise AssertionError("no line about files")

@@ -29,10 +29,10 @@ TAKING = [*CLIENTS, *WITHOUT]
 def test_options_of_urls_are_those_of_the_command_line(command: str) -> None:
     text = run(*command.split(), "--help-all").out
     has = {name.replace("-", "_") for name in re.findall("--([a-z][a-z0-9-]*)", text)}
-    expected = {*SERIAL_OPTIONS, *SECURITY_OPTIONS}
+    names = {*SERIAL_OPTIONS, *SECURITY_OPTIONS}
     if command != "serve":
-        expected |= CLIENT_OPTIONS.keys() - WITHOUT.get(command, set())
-    assert expected - has == set()
+        names |= CLIENT_OPTIONS.keys() - WITHOUT.get(command, set())
+    assert names - has == set()
 
 
 def test_a_gateway_has_options_for_its_devices_and_prints_frames(device: str) -> None:
@@ -40,10 +40,10 @@ def test_a_gateway_has_options_for_its_devices_and_prints_frames(device: str) ->
     with serving("gateway", *arguments) as (process, url):
         with Client(url, unit=7) as context:
             context.write_register(0, 555)
-        asked, answered = process.stderr.readline(), process.stderr.readline()
-    assert " <   7  WriteRegister " in asked
-    assert " >   7  WriteRegister " in answered
-    assert answered.endswith("07 06 00 00 02 2b\n")
+        request, answer = process.stderr.readline(), process.stderr.readline()
+    assert " <   7  WriteRegister " in request
+    assert " >   7  WriteRegister " in answer
+    assert answer.endswith("07 06 00 00 02 2b\n")
 
 
 @each_case(
@@ -54,8 +54,8 @@ def test_the_unit_is_that_of_the_url_unless_it_is_told(query, options, unit) -> 
     devices = {each: Device(Mapping(coils=each)) for each in (1, 7, 9)}
     with Server(devices).background("tcp://127.0.0.1:0") as running:
         where = [running.urls[0] + query, "coils", str(unit - 1)]
-        done = run("read", *where, "--json", "-v", *options)
-        assert json.loads(done.out)["unit"] == unit
+        result = run("read", *where, "--json", "-v", *options)
+        assert json.loads(result.out)["unit"] == unit
         assert run("write", *where, "1", *options).code == 0
     assert devices[unit].mapping.coils[unit - 1]
 
@@ -67,7 +67,7 @@ def test_an_echo_is_set_for_lines_behind_a_converter_too(flag: str, echo: bool) 
 
 
 @each_case(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("-m enc h", "-m enc: type HOST, udp://HOST, rtu+tcp://HOST:PORT, /dev/ttyUSB0 or"),
         ("h -a 1:3,17", "-a 1:3,17: type -u 1-3,17"),
@@ -90,13 +90,13 @@ def test_an_echo_is_set_for_lines_behind_a_converter_too(flag: str, echo: bool) 
     ],
 )
 @each_case("command", ["read", "write", "identify"])
-def test_an_option_of_another_program_has_its_equivalent(command, words, said) -> None:
+def test_an_option_of_another_program_has_its_equivalent(command, words, message) -> None:
     if command == "write" and words.endswith(("-1", "-0")):  # there these are values
         return
-    done = run(command, *words.split())
-    assert (done.code, done.out) == (2, "")
-    assert done.err.startswith(f"libmodbus-py: {said}")
-    assert done.err.count("\n") == 1
+    result = run(command, *words.split())
+    assert (result.code, result.out) == (2, "")
+    assert result.err.startswith(f"libmodbus-py: {message}")
+    assert result.err.count("\n") == 1
 
 
 def test_options_and_values_of_ours_are_none_of_theirs() -> None:

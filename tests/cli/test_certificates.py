@@ -14,10 +14,10 @@ from libmodbus_py.tools.page.page import TOKEN
 from libmodbus_py.version import how_to_add
 from tests.cli.serving import serving
 from tests.support.cases import each_case
-from tests.support.commands import Done, run
+from tests.support.commands import Result, run
 
 
-def made(*arguments: object) -> Done:
+def make(*arguments: object) -> Result:
     return run("certificates", *arguments)
 
 
@@ -31,8 +31,8 @@ def role_in(path: Path) -> str | None:
 
 def test_it_makes_an_authority_a_server_and_clients(tmp_path: Path) -> None:
     directory = tmp_path / "new" / "with a space"
-    done = made(directory)
-    assert (done.code, done.err) == (0, "")
+    result = make(directory)
+    assert (result.code, result.err) == (0, "")
     roles = {path.stem: role_in(path) for path in directory.glob("*.pem") if "key" not in path.name}
     assert roles == {
         **dict.fromkeys(["ca", "server", "no-role"]),
@@ -48,13 +48,13 @@ def test_it_makes_an_authority_a_server_and_clients(tmp_path: Path) -> None:
         load(directory / f"{name}.pem").verify_directly_issued_by(ca)
 
 
-def test_options(tmp_path: Path) -> None:
-    done = made(
+def test_options_set_hosts_days_and_roles(tmp_path: Path) -> None:
+    result = make(
         tmp_path,
         *("--host", "plc.example", "--host", "192.0.2.7", "--days", "7"),
         *("--role", "Shift leader", "--role", "Prüfer"),
     )
-    assert done.code == 0, done.err
+    assert result.code == 0, result.err
     server = load(tmp_path / "server.pem")
     names = server.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     assert names.get_values_for_type(x509.DNSName) == ["localhost", "plc.example"]
@@ -63,8 +63,8 @@ def test_options(tmp_path: Path) -> None:
     assert role_in(tmp_path / "shift-leader.pem") == "Shift leader"
     assert role_in(tmp_path / "prüfer.pem") == "Prüfer"
     assert not (tmp_path / "operator.pem").exists()
-    left = server.not_valid_after_utc - datetime.now(UTC)
-    assert timedelta(days=6) < left < timedelta(days=7)
+    lifetime = server.not_valid_after_utc - datetime.now(UTC)
+    assert timedelta(days=6) < lifetime < timedelta(days=7)
 
 
 def test_without_cryptography_it_says_what_to_install(tmp_path, monkeypatch) -> None:
@@ -72,18 +72,18 @@ def test_without_cryptography_it_says_what_to_install(tmp_path, monkeypatch) -> 
     for name in missing:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "cryptography", None)
-    done = made(tmp_path)
-    assert done.code == 1
-    assert done.err.count("\n") == 1
-    assert how_to_add("security") in done.err
+    result = make(tmp_path)
+    assert result.code == 1
+    assert result.err.count("\n") == 1
+    assert how_to_add("security") in result.err
 
 
 def test_the_commands_it_prints_work(tmp_path: Path) -> None:
-    serve, read = (shlex.split(line)[1:] for line in made(tmp_path / "a b").out.splitlines()[-2:])
+    serve, read = (shlex.split(line)[1:] for line in make(tmp_path / "a b").out.splitlines()[-2:])
     serve[1] = "tls://127.0.0.1:0"
     with serving(*serve) as (_, read[1]):
-        done = run(*read)
-    assert (done.out, done.err) == ("    0  0\n", "")
+        result = run(*read)
+    assert (result.out, result.err) == ("    0  0\n", "")
 
 
 LONG = "a-machine-whose-name-is-longer-than-a-common-name-may-be-in-a-plant.example"
@@ -96,11 +96,11 @@ def names_in(path: Path) -> list[str]:
 
 def test_machines_have_certificates_of_one_authority(tmp_path: Path) -> None:
     machines = ("n1.example", "192.0.2.7", "::1", LONG)
-    assert made(tmp_path, *machines[:2]).out.splitlines() == [
+    assert make(tmp_path, *machines[:2]).out.splitlines() == [
         str(tmp_path / name) for name in machines[:2]
     ]
     before = load(tmp_path / machines[0] / "server.pem").serial_number
-    assert made(tmp_path, *machines[2:], machines[0]).code == 0
+    assert make(tmp_path, *machines[2:], machines[0]).code == 0
     assert load(tmp_path / machines[0] / "server.pem").serial_number != before
     ca = load(tmp_path / "ca.pem")
     assert (tmp_path / "ca-key.pem").stat().st_mode & 0o777 == 0o600
@@ -120,24 +120,24 @@ def test_machines_have_certificates_of_one_authority(tmp_path: Path) -> None:
     assert [type(each) for each in addresses.value] == [x509.IPAddress]
 
 
-@each_case("left", ["", "-----BEGIN PRIVATE KEY-----\nMIGHAgEA"])
-def test_a_key_of_an_interrupted_run_is_no_authority(left: str, tmp_path: Path) -> None:
-    folder = tmp_path / f"{len(left)} characters"
+@each_case("name", ["", "-----BEGIN PRIVATE KEY-----\nMIGHAgEA"])
+def test_a_key_of_an_interrupted_run_is_no_authority(name: str, tmp_path: Path) -> None:
+    folder = tmp_path / f"{len(name)} characters"
     folder.mkdir()
-    (folder / "ca-key.pem").write_text(left)
-    assert made(folder, "n1").code == 0
+    (folder / "ca-key.pem").write_text(name)
+    assert make(folder, "n1").code == 0
     assert (folder / "ca-key.pem").stat().st_mode & 0o777 == 0o600
     load(folder / "n1" / "server.pem").verify_directly_issued_by(load(folder / "ca.pem"))
 
 
-@each_case("left", ["", "-----BEGIN PRIVATE KEY-----\nMIGHAgEA", None])
-def test_an_authority_without_its_key_is_named(left: str | None, tmp_path: Path) -> None:
-    made(tmp_path, "n1")
+@each_case("name", ["", "-----BEGIN PRIVATE KEY-----\nMIGHAgEA", None])
+def test_an_authority_without_its_key_is_named(name: str | None, tmp_path: Path) -> None:
+    make(tmp_path, "n1")
     key = tmp_path / "ca-key.pem"
-    key.unlink() if left is None else key.write_text(left)
-    done = made(tmp_path, "n2")
-    assert done.code == 2
-    assert f"{key} is not the key of {tmp_path}/ca.pem" in done.err
+    key.unlink() if name is None else key.write_text(name)
+    result = make(tmp_path, "n2")
+    assert result.code == 2
+    assert f"{key} is not the key of {tmp_path}/ca.pem" in result.err
     assert not (tmp_path / "n2").exists()
 
 
@@ -146,28 +146,28 @@ def test_what_cannot_be_written_leaves_no_half(tmp_path, monkeypatch) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
-    assert made(tmp_path, "n1").code == 1
-    assert made(tmp_path).code == 1
+    assert make(tmp_path, "n1").code == 1
+    assert make(tmp_path).code == 1
     assert [each for each in tmp_path.rglob("*") if each.is_file()] == []
 
 
-def names_of(done: Done) -> dict[str, list[str]]:
+def names_of(result: Result) -> dict[str, list[str]]:
     """Return what --list printed: name -> serial number, days left and purpose."""
-    assert (done.code, done.err) == (0, "")
-    return {row[0]: row[1:] for row in (line.split() for line in done.out.splitlines())}
+    assert (result.code, result.err) == (0, "")
+    return {row[0]: row[1:] for row in (line.split() for line in result.out.splitlines())}
 
 
-def verified(folder: Path, name: str) -> str:
+def verify(folder: Path, name: str) -> str:
     """Return what OpenSSL says of a certificate, with the list of the authority."""
     files = ("-CAfile", folder / "ca.pem", "-CRLfile", folder / "crl.pem", "-crl_check_all")
     command = ["openssl", "verify", *map(str, files), str(folder / f"{name}.pem")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    return done.stdout + done.stderr
+    result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return result.stdout + result.stderr
 
 
 def test_the_list_has_serial_numbers_days_and_purposes(tmp_path: Path) -> None:
-    made(tmp_path, "--days", "10", "--role", "Viewer")
-    listed = names_of(made(tmp_path, "--list"))
+    make(tmp_path, "--days", "10", "--role", "Viewer")
+    listed = names_of(make(tmp_path, "--list"))
     assert [*listed] == ["ca", "no-role", "server", "viewer"]
     for name, (serial, *days_and_purpose) in listed.items():
         certificate = load(tmp_path / f"{name}.pem")
@@ -183,10 +183,10 @@ def test_the_list_has_serial_numbers_days_and_purposes(tmp_path: Path) -> None:
 
 
 def test_a_renewed_certificate_has_all_but_its_times_and_number(tmp_path: Path) -> None:
-    made(tmp_path, "--days", "10")
+    make(tmp_path, "--days", "10")
     before = {name: load(tmp_path / f"{name}.pem") for name in ("ca", "server", "viewer")}
     keys = {path: path.read_bytes() for path in tmp_path.glob("*-key.pem")}
-    assert made(tmp_path, "server", "ca", "--renew", "--days", "40").out.splitlines() == [
+    assert make(tmp_path, "server", "ca", "--renew", "--days", "40").out.splitlines() == [
         str(tmp_path / "server.pem"),
         str(tmp_path / "ca.pem"),
     ]
@@ -198,41 +198,41 @@ def test_a_renewed_certificate_has_all_but_its_times_and_number(tmp_path: Path) 
         assert timedelta(days=39) < renewed.not_valid_after_utc - datetime.now(UTC)
         renewed.verify_directly_issued_by(load(tmp_path / "ca.pem"))
     assert load(tmp_path / "viewer.pem") == before["viewer"]
-    assert made(tmp_path, "--renew").code == 0
+    assert make(tmp_path, "--renew").code == 0
     assert load(tmp_path / "viewer.pem") != before["viewer"]
-    left = load(tmp_path / "viewer.pem").not_valid_after_utc - datetime.now(UTC)
-    assert timedelta(days=9) < left < timedelta(days=10)
+    lifetime = load(tmp_path / "viewer.pem").not_valid_after_utc - datetime.now(UTC)
+    assert timedelta(days=9) < lifetime < timedelta(days=10)
     assert {path: path.read_bytes() for path in keys} == keys
 
 
 def test_revoked_ones_are_refused_and_no_others(tmp_path: Path) -> None:
     """By name, and by a serial number as the audit trail has it, of a certificate that is gone."""
-    made(tmp_path)
-    gone = f"{load(tmp_path / 'operator.pem').serial_number:x}"
-    done = made(tmp_path, "--revoke", "viewer", "--revoke", gone)
-    assert done.out.splitlines()[1:] == [f"{gone}: revoked", str(tmp_path / "crl.pem")]
-    assert made(tmp_path, "--crl", "--days", "3").code == 0  # what was revoked stays so
+    make(tmp_path)
+    serial = f"{load(tmp_path / 'operator.pem').serial_number:x}"
+    result = make(tmp_path, "--revoke", "viewer", "--revoke", serial)
+    assert result.out.splitlines()[1:] == [f"{serial}: revoked", str(tmp_path / "crl.pem")]
+    assert make(tmp_path, "--crl", "--days", "3").code == 0  # what was revoked stays so
     for name in ("viewer", "operator"):
-        assert "certificate revoked" in verified(tmp_path, name)
+        assert "certificate revoked" in verify(tmp_path, name)
     for name in ("server", "engineer", "ca"):
-        assert verified(tmp_path, name).endswith("OK\n")
-    listed = names_of(made(tmp_path, "--list"))
+        assert verify(tmp_path, name).endswith("OK\n")
+    listed = names_of(make(tmp_path, "--list"))
     assert listed["viewer"][1] == listed["operator"][1] == "revoked"
     assert listed["crl"] == ["2", "days", "revocation", "list"]
     before = load(tmp_path / "viewer.pem")
-    assert made(tmp_path, "--renew").code == 0
-    assert "'viewer' is revoked" in made(tmp_path, "server", "viewer", "--renew").err
+    assert make(tmp_path, "--renew").code == 0
+    assert "'viewer' is revoked" in make(tmp_path, "server", "viewer", "--renew").err
     assert load(tmp_path / "viewer.pem") == before
 
 
 def test_machines_get_renewed_authorities_and_lists(tmp_path: Path) -> None:
-    made(tmp_path, "n1", "n2")
-    made(tmp_path, "--revoke", "n2")
-    made(tmp_path, "ca", "--renew")
+    make(tmp_path, "n1", "n2")
+    make(tmp_path, "--revoke", "n2")
+    make(tmp_path, "ca", "--renew")
     for name in ("n1", "n2"):
         for file in ("ca.pem", "crl.pem"):
             assert (tmp_path / name / file).read_text() == (tmp_path / file).read_text()
-    assert made(tmp_path, "n1", "--renew").out == f"{tmp_path}/n1/server.pem\n"
+    assert make(tmp_path, "n1", "--renew").out == f"{tmp_path}/n1/server.pem\n"
 
 
 @each_case(
@@ -248,26 +248,26 @@ def test_machines_get_renewed_authorities_and_lists(tmp_path: Path) -> None:
         (("server", "--list"), "--list takes neither MACHINE"),
     ],
 )
-def test_wrong_words_change_nothing(tmp_path: Path, words: tuple[str, ...], reason: str) -> None:
+def test_wrong_words_change_no_file(tmp_path: Path, words: tuple[str, ...], reason: str) -> None:
     if not (tmp_path / "ca.pem").exists():
-        made(tmp_path)
+        make(tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    done = made(tmp_path, *words)
-    assert done.code == 2
-    assert reason in done.err
+    result = make(tmp_path, *words)
+    assert result.code == 2
+    assert reason in result.err
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
-    made(tmp_path)
-    made(tmp_path / "others")
+    make(tmp_path)
+    make(tmp_path / "others")
     (tmp_path / "device.pem").write_bytes((tmp_path / "others" / "server.pem").read_bytes())
-    assert "device" not in names_of(made(tmp_path, "--list"))
+    assert "device" not in names_of(make(tmp_path, "--list"))
     (tmp_path / "crl.pem").write_bytes((tmp_path / "device.pem").read_bytes())
-    assert "crl.pem: no revocation list in PEM format" in made(tmp_path, "--list").err
-    made(tmp_path / "others", "--crl")
+    assert "crl.pem: no revocation list in PEM format" in make(tmp_path, "--list").err
+    make(tmp_path / "others", "--crl")
     (tmp_path / "crl.pem").write_bytes((tmp_path / "others" / "crl.pem").read_bytes())
-    assert "is not signed by" in made(tmp_path, "--list").err
+    assert "is not signed by" in make(tmp_path, "--list").err
 
 
 def test_a_token_is_new_and_its_file_is_of_its_owner(tmp_path: Path) -> None:

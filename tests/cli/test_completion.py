@@ -34,14 +34,14 @@ def shell(place: Path, command: list[str]) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize(
-    ("line", "found"),
+    ("line", "names"),
     [
         ("libmodbus-py ident", {"identify"}),
         ("libmodbus-py read --map meter.csv 127.0.0.1 vol", {"voltage"}),
         ("libmodbus-py completion ", {"bash", "zsh", "fish"}),
     ],
 )
-def test_bash(place: Path, line: str, found: set[str]) -> None:
+def test_bash_completes_words(place: Path, line: str, names: set[str]) -> None:
     words = " ".join(f"'{word}'" for word in line.split(" "))
     script = (
         'eval "$(libmodbus-py completion bash)"\n'
@@ -50,24 +50,24 @@ def test_bash(place: Path, line: str, found: set[str]) -> None:
         "_python_argcomplete libmodbus-py\n"
         'printf "%s\\n" "${COMPREPLY[@]}"\n'
     )
-    done = shell(place, ["bash", "-c", script])
-    assert done.stderr == ""
-    assert {each.strip() for each in done.stdout.split()} - {"--help", "--help-all"} == found
+    result = shell(place, ["bash", "-c", script])
+    assert result.stderr == ""
+    assert {each.strip() for each in result.stdout.split()} - {"--help", "--help-all"} == names
 
 
 @pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
-def test_fish(place: Path) -> None:
+def test_fish_completes_commands(place: Path) -> None:
     script = "libmodbus-py completion fish | source; complete -C 'libmodbus-py dia'"
-    done = shell(place, ["fish", "--no-config", "-c", script])
-    assert [line.partition("\t")[0] for line in done.stdout.splitlines()] == ["diagnose"]
+    result = shell(place, ["fish", "--no-config", "-c", script])
+    assert [line.partition("\t")[0] for line in result.stdout.splitlines()] == ["diagnose"]
 
 
 @pytest.mark.skipif(shutil.which("zsh") is None, reason="zsh is not installed")
-def test_zsh_takes_the_script(place: Path) -> None:
+def test_zsh_runs_the_script(place: Path) -> None:
     script = 'autoload -U compinit; compinit -D; eval "$(libmodbus-py completion zsh)"'
     script += "; echo $_comps[libmodbus-py]"
-    done = shell(place, ["zsh", "-f", "-c", script])
-    assert done.stdout.strip().startswith("_python_argcomplete")
+    result = shell(place, ["zsh", "-f", "-c", script])
+    assert result.stdout.strip().startswith("_python_argcomplete")
 
 
 def test_without_argcomplete_it_says_what_to_install() -> None:
@@ -75,15 +75,15 @@ def test_without_argcomplete_it_says_what_to_install() -> None:
         "import sys; sys.modules['argcomplete'] = None\n"
         "from libmodbus_py.cli.main import main; sys.exit(main(['completion', 'bash']))"
     )
-    done = run_to_end(sys.executable, "-c", program)
-    assert done.returncode == 1
-    assert done.stderr == (
+    result = run_to_end(sys.executable, "-c", program)
+    assert result.returncode == 1
+    assert result.stderr == (
         f"libmodbus-py: completion needs argcomplete: {how_to_add('completion')}\n"
     )
 
 
 @each_case(
-    ("line", "found"),
+    ("line", "words"),
     [
         ("read h --map 'my meter.csv' Lei", ["Leistung L1"]),
         ("read h --map 'my meter.csv' 'Lei", ["Leistung L1"]),
@@ -95,12 +95,12 @@ def test_without_argcomplete_it_says_what_to_install() -> None:
         ("map list --search sdm1", ["sdm120"]),
     ],
 )
-def test_quotes_and_spaces(place: Path, line: str, found: list[str]) -> None:
+def test_quotes_and_spaces_are_completed(place: Path, line: str, words: list[str]) -> None:
     names = ["Leistung L1", "spannung's", "$x"]
     rows = "".join(f"{name},holding,{at}\n" for at, name in enumerate(names))
     (place / "my meter.csv").write_text(f"name,table,address\n{rows}")
-    answers = completed(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="bash").split("\013")
-    assert [re.sub(r"\\(.)", r"\1", each).strip() for each in answers] == found
+    answers = complete(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="bash").split("\013")
+    assert [re.sub(r"\\(.)", r"\1", each).strip() for each in answers] == words
 
 
 MAP = "name,table,address\nvoltage,input,0\ncurrent,input,1\n"
@@ -137,7 +137,7 @@ LINES = [
 ]
 
 
-def completed(line: str, folder: Path, **shell: str) -> str:
+def complete(line: str, folder: Path, **shell: str) -> str:
     """Ask as the function of a shell does: through the environment, with the answer in a file."""
     answer = folder / "answer"
     subprocess.run(
@@ -161,14 +161,14 @@ def completed(line: str, folder: Path, **shell: str) -> str:
     return answer.read_text()
 
 
-@pytest.mark.parametrize(("line", "found"), LINES)
-def test_answers_to_bash(place: Path, line: str, found: set[str]) -> None:
-    answer = completed(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="bash")
-    assert {each.strip() for each in answer.split("\013")} - {"--help", ""} == found
+@pytest.mark.parametrize(("line", "words"), LINES)
+def test_bash_gets_arguments(place: Path, line: str, words: set[str]) -> None:
+    answer = complete(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="bash")
+    assert {each.strip() for each in answer.split("\013")} - {"--help", ""} == words
 
 
 def test_the_map_may_stand_behind_the_name(place: Path) -> None:
     for line in ("read h vol --map meter.csv", "read h vol --map=meter.csv -u 3"):
         point = str(len("libmodbus-py read h vol"))
-        answer = completed(f"libmodbus-py {line}", place, COMP_POINT=point)
+        answer = complete(f"libmodbus-py {line}", place, COMP_POINT=point)
         assert answer.strip() == "voltage"

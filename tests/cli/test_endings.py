@@ -36,7 +36,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "number", "code"), CASES)
-def test_a_signal_ends_it(tmp_path: Path, device: str, name: str, number: int, code: int) -> None:
+def test_a_signal_ends_all(tmp_path: Path, device: str, name: str, number: int, code: int) -> None:
     (tmp_path / "fleet.toml").write_text(FLEET.format(url=device))
     arguments = [each.format(url=device, folder=tmp_path) for each in COMMANDS[name][0]]
     with subprocess.Popen(
@@ -47,9 +47,9 @@ def test_a_signal_ends_it(tmp_path: Path, device: str, name: str, number: int, c
         text=True,
     ) as process:
         try:
-            begun = process.stderr if name == "listen" else process.stdout
-            assert begun is not None
-            assert begun.readline()
+            stream = process.stderr if name == "listen" else process.stdout
+            assert stream is not None
+            assert stream.readline()
             process.send_signal(number)
             _, errors = process.communicate(timeout=60)
         finally:
@@ -63,9 +63,9 @@ def test_a_reader_that_goes_away_ends_it(tmp_path: Path, device: str, name: str)
     (tmp_path / "fleet.toml").write_text(FLEET.format(url=device))
     arguments = [each.format(url=device, folder=tmp_path) for each in COMMANDS[name][0]]
     program = " ".join(f"'{word}'" for word in [*PROGRAM, *arguments])
-    done = run_to_end("bash", "-o", "pipefail", "-c", f"{program} | head -1")
-    assert done.stdout.count("\n") == 1
-    assert (done.returncode, done.stderr) == (1, "")
+    result = run_to_end("bash", "-o", "pipefail", "-c", f"{program} | head -1")
+    assert result.stdout.count("\n") == 1
+    assert (result.returncode, result.stderr) == (1, "")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -87,7 +87,7 @@ def test_a_serial_port_gets_its_settings_back(number: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "answered"),
+    ("words", "count"),
     [
         ("read URL hr 0 --json", 0),
         ("write URL hr 0 5 --verify", 0),
@@ -97,18 +97,18 @@ def test_a_serial_port_gets_its_settings_back(number: int) -> None:
         ("map check meter --device URL", 0),
     ],
 )
-def test_ctrl_c_while_an_answer_is_awaited(words: str, answered: int) -> None:
+def test_ctrl_c_while_an_answer_is_awaited(words: str, count: int) -> None:
     """Nothing is said, whether it is the first answer, or that behind a write."""
-    asked: list[bytes] = []
+    requests: list[bytes] = []
 
     def answer(request: bytes) -> list[bytes]:
-        asked.append(request)
-        return [request] if len(asked) <= answered else []
+        requests.append(request)
+        return [request] if len(requests) <= count else []
 
     with FakeServer(answer) as server:
         typed = words.replace("URL", server.url).split()
         with Started(*typed, "--timeout", "20") as process:
-            until(lambda: len(asked) > answered)
+            until(lambda: len(requests) > count)
             process.send_signal(signal.SIGINT)
             out, err = process.communicate()
             assert (process.wait(), err) == (130, "")
@@ -120,24 +120,24 @@ def test_an_absent_unit_behind_a_gateway_points_to_scan(code: int) -> None:
     with FakeServer(lambda request: [mbap(request, bytes([request[7] | 0x80, code]))]) as server:
         place = f"127.0.0.1:{server.port}"
         for words in (["read", place, "hr", 0], ["write", place, "hr", 0, 1], ["raw", place, 7]):
-            done = run(*words)
-            assert done.code == 1
-            assert done.err.endswith(f"; libmodbus-py scan {place} finds the units that answer\n")
-            assert done.err.count("\n") == 1
+            result = run(*words)
+            assert result.code == 1
+            assert result.err.endswith(f"; libmodbus-py scan {place} finds the units that answer\n")
+            assert result.err.count("\n") == 1
 
 
 @each_case("words", [["hr", 0], ["hr", 0, "co", 1], ["-u", "3,4", "hr", 0]])
 def test_silence_points_to_scan(words: list[object]) -> None:
     with FakeServer(lambda _: []) as server:
         place = f"127.0.0.1:{server.port}"
-        done = run("read", place, *words, "--timeout", "20ms")
-        assert done.code == 1
-        for line in done.err.splitlines():
+        result = run("read", place, *words, "--timeout", "20ms")
+        assert result.code == 1
+        for line in result.err.splitlines():
             assert line.endswith(f"no answer within 0.02 s; libmodbus-py scan {place} finds the"
                                  " units that answer")  # fmt: skip
 
 
-def test_other_failures_do_not() -> None:
+def test_other_failures_do_not_point_to_scan() -> None:
     with ServerMaker() as maker:
         url = maker(devices=Device(Mapping(holding_registers=2))).url
         for words in (["read", url, "hr", 7], ["write", url, "hr", 7, 1]):
@@ -145,15 +145,15 @@ def test_other_failures_do_not() -> None:
     assert "scan" not in run("read", "127.0.0.1:1", "hr", 0).err
 
 
-def test_tls_at_a_server_without(tmp_path: Path) -> None:
+def test_tls_at_a_server_without_it_is_one_line(tmp_path: Path) -> None:
     assert run("certificates", tmp_path).code == 0
     pki = ["--cert", tmp_path / "operator.pem", "--key", tmp_path / "operator-key.pem"]
     with FakeServer(None) as server:
         url = f"tls://127.0.0.1:{server.port}"
-        done = run("read", url, "hr", 0, *pki, "--ca", tmp_path / "ca.pem")
-        assert done.code == 1
-        assert "no TLS handshake" in done.err
-        assert "is it tcp://?" in done.err
+        result = run("read", url, "hr", 0, *pki, "--ca", tmp_path / "ca.pem")
+        assert result.code == 1
+        assert "no TLS handshake" in result.err
+        assert "is it tcp://?" in result.err
 
 
 def shown_on_terminal(*words: str, **environment: str) -> str:
@@ -175,9 +175,9 @@ def without_styles(text: str) -> str:
     ],
 )
 def test_an_error_begins_in_red(words: tuple[str, ...]) -> None:
-    shown = shown_on_terminal(*words)
-    assert shown.startswith("\x1b[1;31mlibmodbus-py:\x1b[0m ")
-    assert without_styles(shown) == run(*words).err
+    text = shown_on_terminal(*words)
+    assert text.startswith("\x1b[1;31mlibmodbus-py:\x1b[0m ")
+    assert without_styles(text) == run(*words).err
 
 
 @each_case("environment", [{"NO_COLOR": "1"}, {"TERM": "dumb"}])

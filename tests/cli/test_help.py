@@ -26,17 +26,17 @@ PLACES = [
 @pytest.mark.parametrize("words", PLACES, ids=lambda words: " ".join(words) or "no command")
 def test_help_is_the_golden_file_and_fits(words: tuple[str, ...], golden: Golden) -> None:
     name = "_".join(words) or "libmodbus-py"
-    done, whole = (
+    result, whole = (
         run(*words, option, environment={"COLUMNS": "80"}) for option in ("--help", "--help-all")
     )
-    assert [done.code, done.err, whole.code, whole.err] == [0, "", 0, ""]
-    assert max(map(len, (done.out + whole.out).splitlines())) <= 80
-    assert done.out.count("\n") <= 70
-    golden(f"help_{name}.txt", done.out)
-    if "--help-all" in done.out:
+    assert [result.code, result.err, whole.code, whole.err] == [0, "", 0, ""]
+    assert max(map(len, (result.out + whole.out).splitlines())) <= 80
+    assert result.out.count("\n") <= 70
+    golden(f"help_{name}.txt", result.out)
+    if "--help-all" in result.out:
         golden(f"help-all_{name}.txt", whole.out)
     else:  # there are no rare options
-        assert done.out == whole.out
+        assert result.out == whole.out
 
 
 WITHOUT_EXAMPLES = ("demo",)

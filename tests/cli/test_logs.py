@@ -19,7 +19,7 @@ from tests.support.commands import PAGE_TOKEN, Started
 LOGGER = logging.getLogger("libmodbus_py.somewhere")
 
 
-def said(capsys: pytest.CaptureFixture[str], log: str | None, form: str | None) -> str:
+def output(capsys: pytest.CaptureFixture[str], log: str | None, form: str | None) -> str:
     with logged(Namespace(log=log, log_format=form)):
         LOGGER.debug("a %s", "frame")
         LOGGER.info("a connection")
@@ -32,7 +32,7 @@ def said(capsys: pytest.CaptureFixture[str], log: str | None, form: str | None) 
     ("level", "count"), [("debug", 3), ("info", 2), ("warning", 1), ("error", 0), (None, 1)]
 )
 def test_messages_of_a_level_and_above_are_objects(level, count, capsys) -> None:
-    entries = [json.loads(line) for line in said(capsys, level, "json").splitlines()]
+    entries = [json.loads(line) for line in output(capsys, level, "json").splitlines()]
     assert len(entries) == count
     if entries:
         last = entries[-1]
@@ -74,7 +74,7 @@ def test_each_line_is_an_object_whoever_prints_it(command, code, device: str, tm
 
 
 def test_text_has_time_level_and_place(capsys: pytest.CaptureFixture[str]) -> None:
-    line = said(capsys, "info", None).splitlines()[0]
+    line = output(capsys, "info", None).splitlines()[0]
     time, level, place, *words = line.split()
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", time)
     assert (level, place, words) == ("info", "somewhere:", ["a", "connection"])
@@ -87,11 +87,11 @@ def test_an_exception_is_told_whole(form: str, capsys: pytest.CaptureFixture[str
             raise ValueError("wrong")
         except ValueError:
             LOGGER.exception("it failed")
-    told = capsys.readouterr().err
+    text = capsys.readouterr().err
     if form == "json":
-        assert told.count("\n") == 1
-        told = json.loads(told)["exception"]
-    assert told.rstrip().endswith("ValueError: wrong")
+        assert text.count("\n") == 1
+        text = json.loads(text)["exception"]
+    assert text.rstrip().endswith("ValueError: wrong")
 
 
 def test_servers_tell_where_they_listen_and_every_frame(command: list[str]) -> None:

@@ -42,17 +42,17 @@ def small_files() -> Iterator[None]:
 )
 def test_a_command_that_fails_leaves_no_empty_file(words: str, tmp_path: Path) -> None:
     for _ in range(2):
-        done = run(*words.split(), tmp_path / "log.json")
-        assert (done.code, done.out) == (1, "")
-        assert "exists" not in done.err
+        result = run(*words.split(), tmp_path / "log.json")
+        assert (result.code, result.out) == (1, "")
+        assert "exists" not in result.err
         assert [*tmp_path.iterdir()] == []
 
 
 @each_case("option", ["--csv", "--json"])
 def test_output_goes_to_a_new_file(url: str, tmp_path: Path, option: str) -> None:
     path = tmp_path / f"log{option.replace('--', '.')}"
-    done = run("read", url, option, path, "hr", 0)
-    assert done == (0, "", "")
+    result = run("read", url, option, path, "hr", 0)
+    assert result == (0, "", "")
     assert path.read_text().count("\n") == (2 if option == "--csv" else 1)
     again = run("read", url, "hr", 1, option, path)
     assert again.code == 2
@@ -84,8 +84,8 @@ def test_csv_refuses_what_it_cannot_go_on_with(url: str, tmp_path: Path) -> None
     path = tmp_path / "log.csv"
     path.write_text("time,hr 0,error\n")
     both = "log.csv has the columns 'time,hr 0,error', and not 'time,hr 0,hr 1,error': name another"
-    done = run("read", url, "hr", 0, 2, "--csv", path)
-    assert (done.code, both in done.err) == (2, True)
+    result = run("read", url, "hr", 0, 2, "--csv", path)
+    assert (result.code, both in result.err) == (2, True)
     assert "exists" in run("read", url, "hr", 0, "--json", path).err
     assert path.read_text() == "time,hr 0,error\n"
     os.mkfifo(tmp_path / "fifo.csv")  # which would be waited for
@@ -97,8 +97,8 @@ def test_rows_that_a_full_disk_does_not_take_cost_no_earlier_ones(url: str, tmp_
     before = "time,hr 0,error\n" + "2026-01-01T00:00:00Z,1,\n" * 3
     path.write_text(before)
     with small_files():
-        done = run("read", url, "hr", 0, "--csv", path)
-    assert (done.code, done.err) == (1, f"libmodbus-py: {path}: File too large\n")
+        result = run("read", url, "hr", 0, "--csv", path)
+    assert (result.code, result.err) == (1, f"libmodbus-py: {path}: File too large\n")
     assert path.read_text() == before
 
 
@@ -113,9 +113,9 @@ def test_words_behind_the_option_are_no_files(url: str, option: str) -> None:
 def test_a_full_disk_is_that_of_the_file(url: str, form: str, tmp_path: Path) -> None:
     path = tmp_path / f"log{form.replace('--', '.')}"
     with small_files():
-        done = run("read", url, "hr", 0, 9, "--watch", "0.01", form, path)
-    assert (done.code, done.out) == (1, "")
-    assert done.err == f"libmodbus-py: {path}: File too large\n"
+        result = run("read", url, "hr", 0, 9, "--watch", "0.01", form, path)
+    assert (result.code, result.out) == (1, "")
+    assert result.err == f"libmodbus-py: {path}: File too large\n"
     if form == "--csv":
         assert path.read_text().endswith("\n")
     else:  # not even one line fits
@@ -126,8 +126,8 @@ def test_a_map_that_does_not_fit_on_the_disk_leaves_no_file(tmp_path: Path) -> N
     path = tmp_path / "found.csv"
     server = Server(Device(Mapping(coils=50)))
     with server.background("tcp://127.0.0.1:0") as running, small_files():
-        done = run("map", "from-device", running.urls[0], "-o", path)
-    assert done == (1, "", f"libmodbus-py: {path}: File too large\n")
+        result = run("map", "from-device", running.urls[0], "-o", path)
+    assert result == (1, "", f"libmodbus-py: {path}: File too large\n")
     assert not path.exists()
 
 
@@ -135,10 +135,10 @@ def test_a_terminal_shows_a_watch_that_a_file_gets(url: str, tmp_path: Path) -> 
     path = tmp_path / "log.csv"
     words = ("read", url, "hr", 0, "--watch", "0.02", "--count", "3", "--csv", path)
     with on_terminal(*words, columns=200) as terminal:
-        shown = terminal.read_to_end()
+        text = terminal.read_to_end()
     assert terminal.process.wait() == 0
-    assert "1 polls" in shown
-    assert shown.endswith(f"3 polls in {path}\r\n")
+    assert "1 polls" in text
+    assert text.endswith(f"3 polls in {path}\r\n")
     assert path.read_text().count("\n") == 4
 
 
@@ -146,15 +146,15 @@ def test_errors_of_such_a_watch_are_seen(device: str, tmp_path: Path) -> None:
     path = tmp_path / "log.json"
     words = ("read", "127.0.0.1:1", "hr", 0, "--watch", "0.02", "--count", "2", "--json", path)
     with on_terminal(*words, columns=200) as terminal:
-        shown = terminal.read_to_end()
-    assert "1 failed" in shown
-    assert "Connection refused" in shown
-    done = run(*words[:-1], tmp_path / "again.json")
-    assert (done.code, done.out) == (1, "")
-    assert done.err.count("Connection refused") == 1  # said once, not at each poll
+        text = terminal.read_to_end()
+    assert "1 failed" in text
+    assert "Connection refused" in text
+    result = run(*words[:-1], tmp_path / "again.json")
+    assert (result.code, result.out) == (1, "")
+    assert result.err.count("Connection refused") == 1  # said once, not at each poll
     words = ("hr", 0, "hr", 99, "--watch", "0.02", "--count", "3", "--csv", tmp_path / "a.csv")
-    done = run("read", device, *words)
-    assert (done.code, done.out, done.err.count("exception 2")) == (0, "", 1)
+    result = run("read", device, *words)
+    assert (result.code, result.out, result.err.count("exception 2")) == (0, "", 1)
 
 
 PRINTING = [
@@ -181,10 +181,10 @@ PRINTING = [
 def test_an_output_that_is_full_or_that_nobody_reads(url: str, words: str) -> None:
     typed = words.replace("URL", url).split()
     with open("/dev/full", "w") as full:
-        done = run(*typed, out=full)
-    assert (done.code, done.err) == (1, "libmodbus-py: standard output: No space left on device\n")
+        result = run(*typed, out=full)
+    assert result == (1, "", "libmodbus-py: standard output: No space left on device\n")
     reading, writing = os.pipe()
     os.close(reading)
     with open(writing, "w") as pipe:
-        done = run(*typed, out=pipe)
-    assert (done.code, done.err) == (1, "")
+        result = run(*typed, out=pipe)
+    assert (result.code, result.err) == (1, "")

@@ -16,7 +16,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server, pdu
 from tests.cli.serving import METER, meter
-from tests.support.commands import Started, ended, run
+from tests.support.commands import Started, run, run_forked
 from tests.support.golden import Golden
 from tests.support.sunspec import chain
 
@@ -131,20 +131,20 @@ def test_a_session_is_the_golden_file(name: str, url: str, tmp_path: Path, golde
         if line.startswith((PROMPT, "#")):
             lines.append(line)
         if line.startswith(PROMPT):
-            lines += printed(line.removeprefix(PROMPT), url, tmp_path)
+            lines += lines_of(line.removeprefix(PROMPT), url, tmp_path)
     golden(f"{name}.txt", "\n".join(lines) + "\n")
 
 
-def printed(command: str, url: str, folder: Path) -> list[str]:
+def lines_of(command: str, url: str, folder: Path) -> list[str]:
     """Return the lines that a session has below a command."""
     typed = {"URL": url, "HOST": url.partition("?")[0]}
     words = [word.replace("FOLDER", str(folder)) for word in shlex.split(command)]
     # Readings go to the descriptor of the standard output: poll needs a process.
-    call = ended if words[0] == "poll" else run
-    done = call(*(typed.get(word, word) for word in words))
-    lines = [done.out.rstrip("\n")] if done.out else []
-    lines += [f"stderr: {line}" for line in done.err.splitlines()]
-    lines += [f"exit code {done.code}"] if done.code else []
+    call = run_forked if words[0] == "poll" else run
+    result = call(*(typed.get(word, word) for word in words))
+    lines = [result.out.rstrip("\n")] if result.out else []
+    lines += [f"stderr: {line}" for line in result.err.splitlines()]
+    lines += [f"exit code {result.code}"] if result.code else []
     return [stable(line).replace(str(folder), "FOLDER") for line in lines]
 
 

@@ -14,7 +14,7 @@ from libmodbus_py import Device, Mapping, Server
 from tests.support import certificates
 from tests.support.certificates import Pki
 from tests.support.commands import run
-from tests.support.peers import dead
+from tests.support.peers import mute_port
 
 SECRET = "open sesame"
 
@@ -39,31 +39,31 @@ def own(pki: Pki) -> list[str]:
 
 def read(url: str, *options: str, **environment: str) -> str:
     """Read two registers; gives what was printed, once that was good."""
-    done = run("read", url, "holding", "0", "2", *options, environment=environment)
-    assert (done.code, done.err) == (0, "")
-    return done.out
+    result = run("read", url, "holding", "0", "2", *options, environment=environment)
+    assert (result.code, result.err) == (0, "")
+    return result.out
 
 
 def fails(code: int, *arguments: str, **environment: str) -> str:
     """The one line that tells why."""
-    done = run(*arguments, environment=environment)
-    assert done.code == code
-    assert done.out == ""
-    assert done.err.startswith("libmodbus-py: ")
-    assert done.err.count("\n") == 1
-    return done.err
+    result = run(*arguments, environment=environment)
+    assert result.code == code
+    assert result.out == ""
+    assert result.err.startswith("libmodbus-py: ")
+    assert result.err.count("\n") == 1
+    return result.err
 
 
 GOOD = "0  555\n    1    7\n"
 
 
-def test_reading_with_certificates(url: str, own: list[str], pki: Pki) -> None:
+def test_a_client_with_a_certificate_reads(url: str, own: list[str], pki: Pki) -> None:
     assert read(url, *own).endswith(GOOD)
     assert read(url, *own, "--server-name", "localhost").endswith(GOOD)
     assert read(pki.url(url, certificates.client())).endswith(GOOD)
 
 
-def test_pins_may_be_repeated(url: str, own: list[str], pki: Pki) -> None:
+def test_one_of_several_pins_is_enough(url: str, own: list[str], pki: Pki) -> None:
     digest = hashlib.sha256(certificates.server().der).hexdigest()
     assert read(url, *own[:4], "--pin", str(pki.ca), "--pin", digest).endswith(GOOD)
     text = fails(1, "read", url, "holding", "0", *own[:4], "--pin", str(pki.ca))
@@ -74,12 +74,12 @@ def test_pins_may_be_repeated(url: str, own: list[str], pki: Pki) -> None:
 def test_a_password_comes_from_the_environment(url: str, pki: Pki) -> None:
     files = pki.files(certificates.client(), SECRET.encode())
     options = ["--cert", str(files.cert), "--key", str(files.key), "--ca", str(pki.ca)]
-    named = [*options, "--password-env", "PLC_PASSWORD"]
-    assert read(url, *named, PLC_PASSWORD=SECRET).endswith(GOOD)
+    arguments = [*options, "--password-env", "PLC_PASSWORD"]
+    assert read(url, *arguments, PLC_PASSWORD=SECRET).endswith(GOOD)
     asking = ("read", url, "holding", "0")
     assert "is encrypted, and needs its password" in fails(2, *asking, *options)
-    assert "no environment variable 'PLC_PASSWORD'" in fails(2, *asking, *named)
-    text = fails(2, *asking, *named, PLC_PASSWORD="close sesame")
+    assert "no environment variable 'PLC_PASSWORD'" in fails(2, *asking, *arguments)
+    text = fails(2, *asking, *arguments, PLC_PASSWORD="close sesame")
     assert "the password is another" in text
     assert "sesame" not in text
 
@@ -94,7 +94,7 @@ def test_nobody_is_asked_for_a_password(pki: Pki) -> None:
         "import fcntl, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); "
         "from libmodbus_py.cli.main import main; main(sys.argv[1:])"
     )
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", code, *arguments],
         stdin=slave,
         stdout=slave,
@@ -103,8 +103,8 @@ def test_nobody_is_asked_for_a_password(pki: Pki) -> None:
         timeout=30,
         start_new_session=True,
     )
-    assert done.returncode == 2
-    assert "is encrypted, and needs its password" in done.stderr
+    assert result.returncode == 2
+    assert "is encrypted, and needs its password" in result.stderr
     os.set_blocking(master, False)
     with pytest.raises(BlockingIOError):
         os.read(master, 100)
@@ -120,9 +120,9 @@ def test_an_option_overrides_the_url(own: list[str], url: str, pki: Pki) -> None
 
 def test_what_fails_is_told_in_one_line(own: list[str], url: str) -> None:
     where = ("holding", "0", *own)
-    with dead() as port:
-        said = fails(1, "read", f"tls://127.0.0.1:{port}?timeout=0.3", *where)
-    assert "127.0.0.1" in said
-    said = fails(1, "read", url, *where, "--server-name", "other.example")
-    assert "Hostname mismatch, certificate is not valid for 'other.example'" in said
-    assert "SHA-256 " in said
+    with mute_port() as port:
+        message = fails(1, "read", f"tls://127.0.0.1:{port}?timeout=0.3", *where)
+    assert "127.0.0.1" in message
+    message = fails(1, "read", url, *where, "--server-name", "other.example")
+    assert "Hostname mismatch, certificate is not valid for 'other.example'" in message
+    assert "SHA-256 " in message

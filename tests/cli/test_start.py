@@ -20,8 +20,8 @@ def modules_after(*arguments: str) -> set[str]:
         "atexit.register(lambda: print('MODULES', *sys.modules, file=sys.stderr))\n"
         "sys.exit(main(sys.argv[1:]))"
     )
-    done = run_to_end(sys.executable, "-c", program, *arguments)
-    return set(done.stderr.partition("MODULES ")[2].split())
+    result = run_to_end(sys.executable, "-c", program, *arguments)
+    return set(result.stderr.partition("MODULES ")[2].split())
 
 
 # Modules that take long to import. From Python 3.14 on, argparse itself brings dataclasses.
@@ -33,57 +33,57 @@ SLOW |= {"dataclasses"} if sys.version_info < (3, 14) else set()
     "arguments", [["--version"], ["--help"], [], ["reed"], ["--unit", "3"]], ids=" ".join
 )
 def test_what_needs_no_client_brings_none(arguments: list[str]) -> None:
-    found = modules_after(*arguments)
-    folders = {name.split(".")[1] for name in found if name.startswith("libmodbus_py.")}
+    modules = modules_after(*arguments)
+    folders = {name.split(".")[1] for name in modules if name.startswith("libmodbus_py.")}
     # A word that is not a command is compared with those that are.
     assert folders - ({"protocol"} if arguments[:1] in (["reed"], ["--unit"]) else set()) == {
         "cli",
         "late",
         "version",
     }
-    assert "argparse" in found
-    assert not found & SLOW
+    assert "argparse" in modules
+    assert not modules & SLOW
 
 
 @pytest.mark.parametrize("arguments", [["read"], ["raw", "-b", "x"], ["write", "h", "--retries"]])
 def test_wrong_usage_of_a_client_brings_none(arguments: list[str]) -> None:
-    found = modules_after(*arguments)
-    ports = {name for name in found if name.startswith("libmodbus_py.ports.")}
+    modules = modules_after(*arguments)
+    ports = {name for name in modules if name.startswith("libmodbus_py.ports.")}
     assert ports == {"libmodbus_py.ports.options", "libmodbus_py.ports.schemes"}
-    assert not any(name.startswith("libmodbus_py.client") for name in found)
-    assert not found & SLOW
+    assert not any(name.startswith("libmodbus_py.client") for name in modules)
+    assert not modules & SLOW
 
 
 def test_help_brings_the_defaults_and_no_client() -> None:
-    found = modules_after("write", "--help")
-    assert not any(name.startswith("libmodbus_py.client") for name in found)
-    assert not found & {"asyncio", "ssl", "logging"}
+    modules = modules_after("write", "--help")
+    assert not any(name.startswith("libmodbus_py.client") for name in modules)
+    assert not modules & {"asyncio", "ssl", "logging"}
 
 
 def test_a_read_brings_a_blocking_client() -> None:
-    found = modules_after("read", "127.0.0.1:1", "holding", "0")
-    assert "libmodbus_py.client.blocking" in found
-    assert not found & {"asyncio", "ssl", "logging", "csv", "datetime", "json"}
-    assert not found & {"libmodbus_py.server", "libmodbus_py.protocol.pdu.writes"}
-    assert not found & {"libmodbus_py.protocol.pdu.files", "shutil", "textwrap"}
+    modules = modules_after("read", "127.0.0.1:1", "holding", "0")
+    assert "libmodbus_py.client.blocking" in modules
+    assert not modules & {"asyncio", "ssl", "logging", "csv", "datetime", "json"}
+    assert not modules & {"libmodbus_py.server", "libmodbus_py.protocol.pdu.writes"}
+    assert not modules & {"libmodbus_py.protocol.pdu.files", "shutil", "textwrap"}
     # The rules of RTU bring every function code; a read prints no CSV, and asks no package.
-    assert not found & {"libmodbus_py.protocol.rtu", "libmodbus_py.files", "importlib.metadata"}
+    assert not modules & {"libmodbus_py.protocol.rtu", "libmodbus_py.files", "importlib.metadata"}
     # One item needs neither a plan nor, without a type, the types of values.
-    assert not any(name.startswith("libmodbus_py.maps") for name in found)
-    assert not found & {"libmodbus_py.protocol.values", "libmodbus_py.protocol.value_types"}
+    assert not any(name.startswith("libmodbus_py.maps") for name in modules)
+    assert not modules & {"libmodbus_py.protocol.values", "libmodbus_py.protocol.value_types"}
 
 
-def test_version() -> None:
-    done = run_to_end(*PROGRAM, "--version")
-    assert done.stdout == "libmodbus-py 0.1.0\n"
+def test_the_option_version_prints_the_version() -> None:
+    result = run_to_end(*PROGRAM, "--version")
+    assert result.stdout == "libmodbus-py 0.1.0\n"
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
-def test_closed_streams_hurt_nobody(closed: str) -> None:
+def test_closed_streams_are_no_error(closed: str) -> None:
     line = f"'{sys.executable}' -m libmodbus_py --version {closed}"
-    done = run_to_end("sh", "-c", line)
-    assert done.returncode == 0
-    assert done.stderr == ""
+    result = run_to_end("sh", "-c", line)
+    assert result.returncode == 0
+    assert result.stderr == ""
 
 
 def test_ctrl_c_while_it_starts_shows_nothing_of_python() -> None:
@@ -101,8 +101,8 @@ def test_ctrl_c_while_it_starts_shows_nothing_of_python() -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         url = f"tcp://127.0.0.1:{silent.getsockname()[1]}?timeout=20"
         for delay in ("0.001", "0.005", "0.02", "0.1", "0.5"):
-            done = run_to_end(sys.executable, "-c", program, delay, url)
-            assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+            result = run_to_end(sys.executable, "-c", program, delay, url)
+            assert (result.returncode, result.stdout, result.stderr) == (130, "", "")
 
 
 @pytest.mark.parametrize(("cause", "code"), [(KeyboardInterrupt(), 130), (None, 1)])
@@ -113,10 +113,10 @@ def test_ctrl_c_that_became_another_error_is_still_one(monkeypatch, cause, code)
         raise RuntimeError("Error calling __set_name__") from cause
 
     monkeypatch.setattr("libmodbus_py.cli.commands.parsed", fail)
-    done = run("read")
-    assert done.code == code
-    assert done.err.startswith("libmodbus-py: unexpected RuntimeError" if code == 1 else "")
-    assert done.err.count("\n") == (code == 1)
+    result = run("read")
+    assert result.code == code
+    assert result.err.startswith("libmodbus-py: unexpected RuntimeError" if code == 1 else "")
+    assert result.err.count("\n") == (code == 1)
 
 
 def test_what_the_terminal_cannot_show_is_written_in_ascii() -> None:
@@ -124,16 +124,16 @@ def test_what_the_terminal_cannot_show_is_written_in_ascii() -> None:
         "import sys; from libmodbus_py.cli import output; output.prepare(); print('21.5 \\u00b0C')"
     )
     plain = os.environ | {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}
-    done = run_to_end(sys.executable, "-X", "utf8=0", "-c", program, env=plain)
-    assert done.stdout == "21.5 \\u00b0C\n"
+    result = run_to_end(sys.executable, "-X", "utf8=0", "-c", program, env=plain)
+    assert result.stdout == "21.5 \\u00b0C\n"
 
 
 def test_demo_shows_every_example_on_every_line() -> None:
-    done = run("demo")
-    assert done.code == 0
-    assert done.err == ""
-    assert "\x1b" not in done.out
-    examples = done.out.partition("To try next")[0]
+    result = run("demo")
+    assert result.code == 0
+    assert result.err == ""
+    assert "\x1b" not in result.out
+    examples = result.out.partition("To try next")[0]
     assert max(map(len, examples.splitlines())) <= 80
     for line in (
         "00 01 00 00 00 06 06 03 00 7A 00 03",
@@ -142,10 +142,10 @@ def test_demo_shows_every_example_on_every_line() -> None:
         r":11140C05060DFE0020050633CD00404E\r\n",
         r":0D86026B\r\n",
     ):
-        assert line in done.out
-    assert done.out.count("[789, 12345, 64969]") == 3
-    assert done.out.count("[[3582, 32], [13261, 64]]") == 3
-    assert done.out.count("refused: illegal data address (exception 2)") == 3
+        assert line in result.out
+    assert result.out.count("[789, 12345, 64969]") == 3
+    assert result.out.count("[[3582, 32], [13261, 64]]") == 3
+    assert result.out.count("refused: illegal data address (exception 2)") == 3
 
 
 @pytest.mark.parametrize("is_found", [True, False])
@@ -160,10 +160,10 @@ def test_the_commands_that_demo_prints_at_its_end_work_in_any_folder(
     serve, read, identify = [words[len(program) :] for words in lines[1:]]
     assert {words[1] for words in (serve, read, identify)} == {"127.0.0.1:1502"}
     with serving("serve", "127.0.0.1:0", *serve[2:]) as (_, url):
-        done = run("read", url, *read[2:])
-        assert (done.code, done.err) == (0, "")
-        assert "voltage" in done.out
-        done = run("identify", url, *identify[2:])
-        assert (done.code, done.err) == (0, "")
-        assert "METER" in done.out
+        result = run("read", url, *read[2:])
+        assert (result.code, result.err) == (0, "")
+        assert "voltage" in result.out
+        result = run("identify", url, *identify[2:])
+        assert (result.code, result.err) == (0, "")
+        assert "METER" in result.out
     assert [*tmp_path.iterdir()] == []

@@ -66,13 +66,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def error_of(folder: Path, line: str, code: int) -> str:
     """Run a command that fails, and return the one line that it prints."""
-    done = run(*shlex.split(line.replace("FOLDER", str(folder))))
-    assert (done.code, done.out) == (code, ""), done.err
-    assert done.err.startswith("libmodbus-py: ")
-    assert done.err.count("\n") == 1
-    assert not re.search("sesame|token=", done.err)
+    result = run(*shlex.split(line.replace("FOLDER", str(folder))))
+    assert (result.code, result.out) == (code, ""), result.err
+    assert result.err.startswith("libmodbus-py: ")
+    assert result.err.count("\n") == 1
+    assert not re.search("sesame|token=", result.err)
     assert {each.name: each.read_text() for each in folder.iterdir()} == FILES
-    text = done.err.removeprefix("libmodbus-py: ").rstrip("\n").replace(str(folder), "FOLDER")
+    text = result.err.removeprefix("libmodbus-py: ").rstrip("\n").replace(str(folder), "FOLDER")
     return re.sub(r"\S+/examples/", "EXAMPLES/", text)
 
 
@@ -83,6 +83,6 @@ def test_one_line_names_what_is_wrong(folder: Path, refused: Refused) -> None:
     refused("wrong_usage.txt", raise_error)
 
 
-@each_case(("line", "said"), UNREACHABLE)
-def test_one_line_names_what_cannot_be_reached(folder: Path, line: str, said: str) -> None:
-    assert said in error_of(folder, line, 1)
+@each_case(("line", "message"), UNREACHABLE)
+def test_one_line_names_what_cannot_be_reached(folder: Path, line: str, message: str) -> None:
+    assert message in error_of(folder, line, 1)

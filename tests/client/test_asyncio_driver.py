@@ -12,10 +12,10 @@ from libmodbus_py import AsyncClient, Client, ModbusConnectionError, State, pdu
 from libmodbus_py.client.sender import Sender
 from tests.simulation.ports import memory_port
 from tests.simulation.scripted import Scripted, Write
+from tests.support.driver import value
 from tests.support.in_loops import run_client
 from tests.support.peers import FakeServer, echo
 from tests.support.scripted import run
-from tests.support.talk import value
 
 
 def answer_rtu(request: bytes, write: Write) -> None:

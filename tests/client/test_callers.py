@@ -11,22 +11,22 @@ from libmodbus_py import IllegalDataAddress, ModbusConnectionError, pdu
 from libmodbus_py.client.call import Batch, Timeouts
 from libmodbus_py.client.reconnecting import State
 from libmodbus_py.ports.trace import Traced
+from tests.support.driver import ASCII, LINE, TCP, Driver, ascii_frame, kinds, tcp
 from tests.support.replies import BOTH, answer, exchange, refusal
-from tests.support.talk import ASCII, LINE, TCP, Talk, ascii_frame, kinds, tcp
 
 
 def test_a_trace_gets_every_frame_and_noise() -> None:
     for url, garbage in ((TCP, "0001 0007 0003 01 83 02"), (LINE, "55 AA 55 AA"), (ASCII, "3A")):
         frames: list[Traced] = []
-        talk = Talk(url, trace=frames.append, timeout=1)
-        talk.ask(5)
+        driver = Driver(url, trace=frames.append, timeout=1)
+        driver.ask(5)
         noise = bytes.fromhex(garbage)
-        right = ascii_frame("01 03 02 0005") if url == ASCII else answer(talk)
-        talk.come(noise)
-        talk.come(right)
-        talk.wait(0.03)
+        right = ascii_frame("01 03 02 0005") if url == ASCII else answer(driver)
+        driver.come(noise)
+        driver.come(right)
+        driver.wait(0.03)
         assert [(each.direction, each.adu) for each in (frames[0], frames[-1])] == [
-            ("sent", talk.sent[0]),
+            ("sent", driver.sent[0]),
             ("received", right),
         ]
         assert {(each.unit, each.function) for each in (frames[0], frames[-1])} == {(1, 3)}
@@ -39,9 +39,9 @@ def test_a_trace_gets_every_frame_and_noise() -> None:
 
 def test_the_logger_of_the_wire_has_the_same(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.DEBUG, "libmodbus_py.wire"):
-        talk = Talk()
-        talk.ask(0x6B, unit=17)
-        talk.come(answer(talk))
+        driver = Driver()
+        driver.ask(0x6B, unit=17)
+        driver.come(answer(driver))
     assert "> unit 17, function 3: 00 01 00 00 00 06 11 03 00 6b 00 01" in caplog.text
     assert "< unit 17, function 3: 00 01 00 00 00 05 11 03 02 00 6b" in caplog.text
 
@@ -62,22 +62,22 @@ class Failing(pdu.ReadHoldingRegisters):
 )
 def test_what_a_request_class_raises_reaches_its_own_caller_only(url: str, error) -> None:
     kind = type("Kind", (Failing,), {"__slots__": (), "error": error})
-    talk = Talk(url)
+    driver = Driver(url)
     for go_on in (True, False):
         before, batch, after = (
-            talk.ask(1),
-            talk.ask(2, kind(3, 1), 4, one_by_one=False, go_on=go_on),
-            talk.ask(5),
+            driver.ask(1),
+            driver.ask(2, kind(3, 1), 4, one_by_one=False, go_on=go_on),
+            driver.ask(5),
         )
         while not (after.is_done and batch.is_done):
-            talk.come(answer(talk))
-            for at in range(len(talk.sent)):
-                if talk.has_ids:
-                    talk.come(answer(talk, at))
+            driver.come(answer(driver))
+            for at in range(len(driver.sent)):
+                if driver.has_ids:
+                    driver.come(answer(driver, at))
         assert (before.outcomes, after.outcomes) == ([[1]], [[5]])
         assert batch.outcomes[:2] == [[2], error]
         assert batch.is_done  # nothing is tolerated but a ModbusError
-    assert talk.is_at_rest
+    assert driver.is_at_rest
 
 
 def test_an_outcome_that_cannot_be_compared_harms_nobody() -> None:
@@ -93,45 +93,45 @@ def test_an_outcome_that_cannot_be_compared_harms_nobody() -> None:
         def _decode_response(self, pdu: bytes) -> Any:
             return Stubborn()
 
-    talk = Talk()
-    batch = talk.ask(1, Array(2, 1), Array(3, 1), one_by_one=False)
-    talk.come(answer(talk, 1), answer(talk, 2), refusal(talk, 2, 0))
+    driver = Driver()
+    batch = driver.ask(1, Array(2, 1), Array(3, 1), one_by_one=False)
+    driver.come(answer(driver, 1), answer(driver, 2), refusal(driver, 2, 0))
     assert kinds(batch)[0] is IllegalDataAddress
     assert batch.is_done
 
 
 def test_requests_that_were_not_sent_are_no_sign_of_a_dead_device() -> None:
-    talk = Talk(timeout=1, max_in_flight=1)
-    talk.ask(1)
-    for each in [talk.ask(2), talk.ask(3), talk.ask(4)]:
-        talk.cancel(each)
-    talk.wait(1)
-    batch = talk.ask(5)
-    assert talk.connection.broken is None
-    talk.come(tcp(talk.sent[-1]))
+    driver = Driver(timeout=1, max_in_flight=1)
+    driver.ask(1)
+    for each in [driver.ask(2), driver.ask(3), driver.ask(4)]:
+        driver.cancel(each)
+    driver.wait(1)
+    batch = driver.ask(5)
+    assert driver.connection.broken is None
+    driver.come(tcp(driver.sent[-1]))
     assert batch.outcomes == [[5]]
 
 
 def test_requests_go_out_before_answers_are_decoded() -> None:
-    talk = Talk(max_in_flight=2)
-    batches = [talk.ask(1), talk.ask(2), talk.ask(3)]
-    talk.connection.take([tcp(talk.sent[0])], talk.now)
-    talk.start()
+    driver = Driver(max_in_flight=2)
+    batches = [driver.ask(1), driver.ask(2), driver.ask(3)]
+    driver.connection.take([tcp(driver.sent[0])], driver.now)
+    driver.start()
     assert not batches[0].is_done
-    assert len(talk.sent) == 3
-    talk.connection.take([tcp(talk.sent[1]), tcp(talk.sent[2])], talk.now)
-    talk.connection.settle(talk.now)
+    assert len(driver.sent) == 3
+    driver.connection.take([tcp(driver.sent[1]), tcp(driver.sent[2])], driver.now)
+    driver.connection.settle(driver.now)
     assert [each.outcomes for each in batches] == [[[1]], [[2]], [[3]]]
 
 
 def test_a_batch_that_failed_while_it_waited_can_be_left() -> None:
-    talk = Talk(max_in_flight=4)
-    batch = talk.ask(*range(9), one_by_one=False)
-    assert len(talk.sent) == 4
-    talk.come(tcp(talk.sent[3], "83 02"))
-    talk.come(tcp(talk.sent[0]))
-    talk.cancel(batch)
-    assert talk.is_at_rest
+    driver = Driver(max_in_flight=4)
+    batch = driver.ask(*range(9), one_by_one=False)
+    assert len(driver.sent) == 4
+    driver.come(tcp(driver.sent[3], "83 02"))
+    driver.come(tcp(driver.sent[0]))
+    driver.cancel(batch)
+    assert driver.is_at_rest
 
 
 INTERRUPTED = ModbusConnectionError("interrupted", errno=errno.EINTR)
@@ -139,46 +139,46 @@ INTERRUPTED = ModbusConnectionError("interrupted", errno=errno.EINTR)
 
 @BOTH
 def test_interrupted_requests_leave_nothing(url: str) -> None:
-    talk = Talk(url, timeout=1, busy_retries=1, turnaround=0.5)
-    busy = talk.ask(1)
-    talk.come(refusal(talk, 6))
-    everyone = talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
-    batch, queued = talk.ask(2), talk.ask(3)
-    count = len(talk.sent)
-    talk.connection.interrupted(INTERRUPTED, talk.now)
-    assert talk.is_at_rest
-    assert talk.life.state is State.DISCONNECTED
+    driver = Driver(url, timeout=1, busy_retries=1, turnaround=0.5)
+    busy = driver.ask(1)
+    driver.come(refusal(driver, 6))
+    everyone = driver.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
+    batch, queued = driver.ask(2), driver.ask(3)
+    count = len(driver.sent)
+    driver.connection.interrupted(INTERRUPTED, driver.now)
+    assert driver.is_at_rest
+    assert driver.life.state is State.DISCONNECTED
     # The write waits for the repetition before it.
-    assert talk.statistics.results[6, "cancelled"] == 0
-    talk.open()
-    talk.wait(5)
-    assert len(talk.sent) == count
+    assert driver.statistics.results[6, "cancelled"] == 0
+    driver.open()
+    driver.wait(5)
+    assert len(driver.sent) == count
     assert not any(each.is_done for each in (busy, everyone, batch, queued))
-    exchange(talk, 7)
+    exchange(driver, 7)
 
 
 def test_an_attempt_that_was_interrupted_is_given_up() -> None:
-    talk = Talk(is_open=False)
-    talk.ask(1)
-    talk.life.connecting()
-    talk.connection.interrupted(INTERRUPTED, talk.now)
-    assert talk.life.state is State.DISCONNECTED
-    assert talk.is_at_rest
-    talk.open()
-    assert talk.sent == []
+    driver = Driver(is_open=False)
+    driver.ask(1)
+    driver.life.connecting()
+    driver.connection.interrupted(INTERRUPTED, driver.now)
+    assert driver.life.state is State.DISCONNECTED
+    assert driver.is_at_rest
+    driver.open()
+    assert driver.sent == []
 
 
 def test_a_connection_that_was_lost_begins_with_nothing_in_flight() -> None:
-    talk = Talk(LINE, turnaround=5)
-    everyone = talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
-    talk.lose()
+    driver = Driver(LINE, turnaround=5)
+    everyone = driver.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
+    driver.lose()
     assert kinds(everyone) == [ModbusConnectionError]
-    assert talk.connection.in_flight == 0
-    talk.open()
-    talk.ask(1)
-    talk.wait_for(2)
-    assert talk.now < 5
-    assert talk.connection.in_flight == 1
+    assert driver.connection.in_flight == 0
+    driver.open()
+    driver.ask(1)
+    driver.wait_for(2)
+    assert driver.now < 5
+    assert driver.connection.in_flight == 1
 
 
 def test_a_batch_that_fails_keeps_the_outcomes_it_has() -> None:

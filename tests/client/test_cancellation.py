@@ -11,11 +11,11 @@ from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusError, State,
 from libmodbus_py.client.call import Call
 from tests.simulation.scripted import Scripted
 from tests.support.cases import each_case
+from tests.support.driver import LINE, TCP, Driver
 from tests.support.in_loops import run_client, run_peer
 from tests.support.peers import TcpPeer, Write, echo
-from tests.support.reads import good, good_at
+from tests.support.reads import on_read, on_read_at
 from tests.support.replies import answer
-from tests.support.talk import LINE, TCP, Talk
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 
@@ -33,7 +33,7 @@ def test_cancelled_requests_take_no_answer_of_later_ones() -> None:
         assert (peer.connections, plc.statistics.timeouts) == (1, 0)
         assert len(peer.requests) == 12
 
-    run_client(good_at("tcp", after=0.2), use, max_in_flight=2)
+    run_client(on_read_at("tcp", after=0.2), use, max_in_flight=2)
 
 
 def test_cancelled_callers_do_not_end_the_connecting_of_others() -> None:
@@ -51,7 +51,7 @@ def test_cancelled_callers_do_not_end_the_connecting_of_others() -> None:
         assert len(peer.requests) == 1
         await plc.close()
 
-    run_peer(good, main)
+    run_peer(on_read, main)
 
 
 def test_an_answer_that_is_read_in_the_turn_of_the_cancellation() -> None:
@@ -67,7 +67,7 @@ def test_an_answer_that_is_read_in_the_turn_of_the_cancellation() -> None:
             assert await plc.read_holding_registers(2, 1) == [2]
             assert (plc.statistics.responses, plc.statistics.late_answers) == (2, 0)
 
-    run_peer(good, main)
+    run_peer(on_read, main)
 
 
 @pytest.mark.parametrize("options", [{"request_spacing": 0.2}, {"connect_delay": 0.2}])
@@ -84,24 +84,24 @@ def test_a_request_cancelled_during_a_pause_is_not_sent(options: dict[str, Any])
             assert peer.network.events.now == pytest.approx(before + 0.2, abs=0.002)
             assert 1 not in [request[9] for request in peer.requests]
 
-    run_peer(good, main)
+    run_peer(on_read, main)
 
 
 @each_case("url", [LINE, TCP])
 @each_case("order", ["as given", "reverse", "random"])
 def test_many_that_wait_cost_few_steps_each(url, order, monkeypatch) -> None:
     """Comparisons of requests are counted: removed one by one from a list, millions."""
-    talk, compared = Talk(url, max_in_flight=1), 0
+    driver, compared = Driver(url, max_in_flight=1), 0
 
     def equal(one: object, other: object) -> bool:
         nonlocal compared
         compared += 1
         return one is other
 
-    present = talk.ask(1)
-    batches = [talk.batch(2) for _ in range(3000)]
+    present = driver.ask(1)
+    batches = [driver.batch(2) for _ in range(3000)]
     for batch in batches:
-        talk.connection.submit(batch, 0.0)
+        driver.connection.submit(batch, 0.0)
     if order == "reverse":
         batches.reverse()
     elif order == "random":
@@ -110,13 +110,13 @@ def test_many_that_wait_cost_few_steps_each(url, order, monkeypatch) -> None:
     monkeypatch.setattr(Call, "__eq__", equal)
     monkeypatch.setattr(Call, "__hash__", object.__hash__)
     for batch in batches:
-        talk.connection.withdraw(batch, 0.0)
+        driver.connection.withdraw(batch, 0.0)
     assert compared < 30_000
-    assert len(talk.connection.queue.waiting) <= 2
-    talk.come(answer(talk))
-    talk.come(answer(talk))
+    assert len(driver.connection.queue.waiting) <= 2
+    driver.come(answer(driver))
+    driver.come(answer(driver))
     assert (present.outcomes, last.outcomes) == ([[1]], [[2]])
-    assert talk.is_at_rest
+    assert driver.is_at_rest
 
 
 def test_a_cancelled_batch_leaves_other_requests_their_answers() -> None:
@@ -148,7 +148,7 @@ def test_a_cancelled_batch_leaves_other_requests_their_answers() -> None:
                         assert len(await batch) == 256
                     assert await client.read_holding_registers(5, 1) == [5]
 
-    run_peer(good, main)
+    run_peer(on_read, main)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -192,7 +192,7 @@ def test_a_client_connects_again_after_a_cancelled_attempt() -> None:
                 assert await client.read_holding_registers(6, 1) == [6]
                 await client.close()
 
-    run_peer(good, main)
+    run_peer(on_read, main)
 
 
 @pytest.mark.parametrize("hook", ["on_state", "trace"])
@@ -216,7 +216,7 @@ def test_a_hook_that_cancels_leaves_a_client_that_works(at: int, hook: str) -> N
             await client.close()
 
     # On the real system, for the loop may log what the hook raises.
-    with TcpPeer(good) as peer:
+    with TcpPeer(on_read) as peer:
         asyncio.run(main(peer))
 
 
@@ -231,4 +231,4 @@ def test_closing_while_it_connects() -> None:
             with contextlib.suppress(ModbusConnectionError):
                 await task
 
-    run_peer(good, main)
+    run_peer(on_read, main)

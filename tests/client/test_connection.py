@@ -4,242 +4,242 @@ import pytest
 
 from libmodbus_py import ModbusConnectionError, ModbusTimeoutError, pdu
 from libmodbus_py.client.call import NOT_ASKED
-from tests.support.replies import BOTH, addresses, answer, refusal, unanswered
-from tests.support.talk import LINE, LOST, TCP, Talk, kinds, tcp
+from tests.support.driver import LINE, LOST, TCP, Driver, kinds, tcp
+from tests.support.replies import BOTH, addresses, answer, refusal, time_out
 
 
 @BOTH
 def test_a_request_has_its_time_and_no_more(url: str) -> None:
-    talk = Talk(url, timeout=1)
-    batch = talk.ask(5)
-    talk.wait(0.999)
+    driver = Driver(url, timeout=1)
+    batch = driver.ask(5)
+    driver.wait(0.999)
     assert not batch.is_done
-    talk.wait(0.001)
+    driver.wait(0.001)
     assert kinds(batch) == [ModbusTimeoutError]
     error = batch.outcomes[0]
-    assert (error.unit, error.function, error.sent) == (1, 3, talk.sent[0])
+    assert (error.unit, error.function, error.sent) == (1, 3, driver.sent[0])
     assert "no answer within 1 s" in str(error)
-    assert talk.statistics.timeouts == 1
-    assert talk.is_at_rest
+    assert driver.statistics.timeouts == 1
+    assert driver.is_at_rest
 
 
 def test_waiting_for_others_requests_does_not_count() -> None:
-    talk = Talk(LINE, timeout=1)
-    batches = [talk.ask(number) for number in range(5)]
+    driver = Driver(LINE, timeout=1)
+    batches = [driver.ask(number) for number in range(5)]
     for _ in range(5):
-        talk.wait(0.9)
-        talk.come(answer(talk))
+        driver.wait(0.9)
+        driver.come(answer(driver))
     assert [batch.outcomes for batch in batches] == [[[number]] for number in range(5)]
 
 
 @BOTH
 def test_waiting_for_the_connection_counts(url: str) -> None:
-    talk = Talk(url, timeout=1, is_open=False)
-    batch = talk.ask(1, 2)
-    talk.life.connecting()
-    talk.wait(0.7)
-    talk.connection.opened(talk.now)
-    talk.start()
-    talk.wait(0.29)
+    driver = Driver(url, timeout=1, is_open=False)
+    batch = driver.ask(1, 2)
+    driver.life.connecting()
+    driver.wait(0.7)
+    driver.connection.opened(driver.now)
+    driver.start()
+    driver.wait(0.29)
     assert not batch.is_done
-    talk.wait(0.01)
+    driver.wait(0.01)
     assert kinds(batch)[0] is ModbusTimeoutError
 
 
 def test_a_request_waits_for_a_connection_for_its_timeout_alone() -> None:
-    talk = Talk(timeout=1, is_open=False)
-    short, batch, joining = talk.ask(1, timeout=0.5), talk.ask(2, 3, go_on=True), talk.join()
-    talk.life.connecting()
-    talk.wait(0.5)
+    driver = Driver(timeout=1, is_open=False)
+    short, batch, joining = driver.ask(1, timeout=0.5), driver.ask(2, 3, go_on=True), driver.join()
+    driver.life.connecting()
+    driver.wait(0.5)
     assert "no connection to 192.0.2.1:502 within 0.5 s" in str(short.outcomes[0])
     assert not batch.is_done
-    talk.wait(0.5)
+    driver.wait(0.5)
     assert kinds(batch) == [ModbusConnectionError] * 2
     assert batch.outcomes[1].asked == "ReadHoldingRegisters(address=3, count=1)"
     assert joining.is_done
     assert "within 1 s" in str(joining.outcome)
-    assert talk.is_at_rest
+    assert driver.is_at_rest
 
 
 def test_after_three_timeouts_in_a_row_the_next_request_goes_over_a_new_connection() -> None:
-    talk = Talk(timeout=1)
+    driver = Driver(timeout=1)
     for _ in range(3):
-        assert talk.connection.broken is None
-        unanswered(talk)
-    batch = talk.ask(7)
-    assert len(talk.sent) == 3
-    talk.replace_broken()
-    talk.come(answer(talk))
+        assert driver.connection.broken is None
+        time_out(driver)
+    batch = driver.ask(7)
+    assert len(driver.sent) == 3
+    driver.replace_broken()
+    driver.come(answer(driver))
     assert batch.outcomes == [[7]]
-    assert talk.statistics.lost == 1
+    assert driver.statistics.lost == 1
 
 
 def test_a_dumb_host_is_asked_again_over_and_over() -> None:
     """Whoever polls a dead device behind a gateway finds it as soon as it is back."""
-    talk = Talk(timeout=1)
+    driver = Driver(timeout=1)
     for _ in range(20):
-        batch = talk.ask(1)
-        if talk.connection.broken:
-            talk.leave_broken()
-            assert talk.connection.is_wanted
-            talk.open()
-        talk.wait(1)
+        batch = driver.ask(1)
+        if driver.connection.broken:
+            driver.leave_broken()
+            assert driver.connection.is_wanted
+            driver.open()
+        driver.wait(1)
         assert kinds(batch) == [ModbusTimeoutError]
-    assert len(talk.sent) == 20
-    assert talk.statistics.connects == 7
+    assert len(driver.sent) == 20
+    assert driver.statistics.connects == 7
 
 
 def test_cancelled_requests_count_as_unanswered() -> None:
-    talk = Talk(timeout=1)
+    driver = Driver(timeout=1)
     for _ in range(3):
-        batch = talk.ask(1)
-        talk.wait(0.2)
-        talk.cancel(batch)
-    talk.ask(1)
-    assert talk.connection.broken is not None
+        batch = driver.ask(1)
+        driver.wait(0.2)
+        driver.cancel(batch)
+    driver.ask(1)
+    assert driver.connection.broken is not None
 
 
 @pytest.mark.parametrize("life", ["its answer", "a late answer", "another's answer", "a refusal"])
 def test_any_sign_of_life_starts_the_count_anew(life: str) -> None:
-    talk = Talk(timeout=1)
+    driver = Driver(timeout=1)
     for _ in range(2):
-        unanswered(talk)
+        time_out(driver)
     if life == "a late answer":
-        talk.come(answer(talk, 0))
+        driver.come(answer(driver, 0))
     elif life == "another's answer":
-        talk.ask(2, unit=9)
-        talk.come(answer(talk))
+        driver.ask(2, unit=9)
+        driver.come(answer(driver))
     else:
-        talk.ask(2)
-        talk.come(answer(talk) if life == "its answer" else refusal(talk, 2))
+        driver.ask(2)
+        driver.come(answer(driver) if life == "its answer" else refusal(driver, 2))
     for _ in range(2):
-        unanswered(talk)
-    talk.ask(1)
-    assert talk.connection.broken is None
+        time_out(driver)
+    driver.ask(1)
+    assert driver.connection.broken is None
 
 
 def test_an_answer_to_nobody_is_no_sign_of_life() -> None:
-    talk = Talk(timeout=1)
+    driver = Driver(timeout=1)
     for _ in range(3):
-        talk.ask(1)
-        talk.come(tcp(talk.sent[-1], number=999))
-        talk.wait(1)
-    talk.ask(1)
-    assert talk.connection.broken is not None
+        driver.ask(1)
+        driver.come(tcp(driver.sent[-1], number=999))
+        driver.wait(1)
+    driver.ask(1)
+    assert driver.connection.broken is not None
 
 
 def test_requests_that_were_sent_before_the_last_answer_do_not_count() -> None:
-    talk = Talk(timeout=1)
+    driver = Driver(timeout=1)
     for _ in range(5):
-        talk.ask(1)
-    talk.wait(0.5)
-    talk.ask(2)
-    talk.come(answer(talk))
-    talk.wait(0.5)
-    talk.ask(3)
-    assert talk.connection.broken is None
+        driver.ask(1)
+    driver.wait(0.5)
+    driver.ask(2)
+    driver.come(answer(driver))
+    driver.wait(0.5)
+    driver.ask(3)
+    assert driver.connection.broken is None
 
 
 def test_a_serial_port_never_counts_as_dead() -> None:
-    talk = Talk(LINE, timeout=0.1)
+    driver = Driver(LINE, timeout=0.1)
     for _ in range(10):
-        talk.ask(1)
-        talk.wait(0.3)
-    assert len(talk.sent) == 10
+        driver.ask(1)
+        driver.wait(0.3)
+    assert len(driver.sent) == 10
 
 
 @BOTH
 def test_what_is_in_flight_fails_and_the_queue_waits_for_the_next_connection(url: str) -> None:
-    talk = Talk(url, timeout=1, **({"max_in_flight": 2} if url == TCP else {}))
-    batches = [talk.ask(number) for number in range(4)]
-    in_flight = len(talk.sent)
-    talk.lose()
+    driver = Driver(url, timeout=1, **({"max_in_flight": 2} if url == TCP else {}))
+    batches = [driver.ask(number) for number in range(4)]
+    in_flight = len(driver.sent)
+    driver.lose()
     assert [batch.is_done for batch in batches] == [number < in_flight for number in range(4)]
     assert batches[0].outcomes[0].errno == 104
-    assert batches[0].outcomes[0].sent == talk.sent[0]
-    assert talk.connection.is_wanted
-    talk.open()
-    talk.wait(1)
-    assert set(addresses(talk)) >= {0, 3} if url == TCP else True
-    assert talk.statistics.lost == 1
+    assert batches[0].outcomes[0].sent == driver.sent[0]
+    assert driver.connection.is_wanted
+    driver.open()
+    driver.wait(1)
+    assert set(addresses(driver)) >= {0, 3} if url == TCP else True
+    assert driver.statistics.lost == 1
 
 
 def test_every_request_has_an_error_of_its_own() -> None:
-    talk = Talk()
-    batch = talk.ask(1, 2, 3, one_by_one=False, go_on=True)
-    talk.lose()
+    driver = Driver()
+    batch = driver.ask(1, 2, 3, one_by_one=False, go_on=True)
+    driver.lose()
     assert len({id(each) for each in batch.outcomes}) == 3
-    assert [each.sent for each in batch.outcomes] == talk.sent
+    assert [each.sent for each in batch.outcomes] == driver.sent
     assert LOST.sent == b""
 
 
 def test_a_batch_that_is_decided_opens_no_connection() -> None:
-    talk = Talk()
-    batch = talk.ask(1, 2)
-    talk.lose()
+    driver = Driver()
+    batch = driver.ask(1, 2)
+    driver.lose()
     assert kinds(batch) == [ModbusConnectionError, NOT_ASKED]
-    assert not talk.connection.is_wanted
-    talk = Talk(is_open=False)
-    talk.cancel(talk.ask(1))
-    assert not talk.connection.is_wanted
+    assert not driver.connection.is_wanted
+    driver = Driver(is_open=False)
+    driver.cancel(driver.ask(1))
+    assert not driver.connection.is_wanted
 
 
 def test_three_fruitless_connections_fail_all_who_wait() -> None:
-    talk = Talk(max_in_flight=1)
-    batch = talk.ask(*range(10), go_on=True)
+    driver = Driver(max_in_flight=1)
+    batch = driver.ask(*range(10), go_on=True)
     for number in range(3):
-        assert len(talk.sent) == number + 1
-        talk.lose()
+        assert len(driver.sent) == number + 1
+        driver.lose()
         if not batch.is_done:
-            talk.open()
+            driver.open()
     assert kinds(batch) == [ModbusConnectionError] * 10
     assert [each.sent != b"" for each in batch.outcomes] == [True] * 3 + [False] * 7
-    assert talk.is_at_rest
+    assert driver.is_at_rest
 
 
 def test_an_answer_between_makes_connections_fruitful() -> None:
-    talk = Talk(max_in_flight=1)
-    batch = talk.ask(*range(10), go_on=True)
+    driver = Driver(max_in_flight=1)
+    batch = driver.ask(*range(10), go_on=True)
     for _ in range(10):
-        talk.come(answer(talk))
-        talk.lose()
-        talk.open()
+        driver.come(answer(driver))
+        driver.lose()
+        driver.open()
     assert batch.outcomes == [[number] for number in range(10)]
-    assert len(talk.sent) == 10 + 9  # each but the first was cut off, and sent once more
+    assert len(driver.sent) == 10 + 9  # each but the first was cut off, and sent once more
 
 
 def test_waiting_requests_share_one_attempt_and_its_failure() -> None:
-    talk = Talk(is_open=False)
-    batches = [talk.ask(number) for number in range(3)]
-    joining, leaving = talk.join(), talk.join()
-    talk.connection.withdraw(leaving, talk.now)
-    talk.fail()
+    driver = Driver(is_open=False)
+    batches = [driver.ask(number) for number in range(3)]
+    joining, leaving = driver.join(), driver.join()
+    driver.connection.withdraw(leaving, driver.now)
+    driver.fail()
     assert [kinds(batch) for batch in batches] == [[ModbusConnectionError]] * 3
     assert {batch.outcomes[0].errno for batch in batches} == {111}
     assert isinstance(joining.outcome, ModbusConnectionError)
     assert (joining.outcome.unit, joining.outcome.errno) == (1, 111)
     assert leaving.outcome is NOT_ASKED
-    assert talk.is_at_rest
+    assert driver.is_at_rest
     assert len({id(batch.outcomes[0]) for batch in batches}) == 3
 
 
 def test_a_broadcast_that_was_cancelled_still_has_the_line() -> None:
-    talk = Talk(LINE, turnaround=0.2)
-    talk.cancel(talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True))
-    talk.ask(5)
-    talk.wait(0.19)
-    assert len(talk.sent) == 1
-    talk.wait(0.01)
-    assert len(talk.sent) == 2
+    driver = Driver(LINE, turnaround=0.2)
+    driver.cancel(driver.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True))
+    driver.ask(5)
+    driver.wait(0.19)
+    assert len(driver.sent) == 1
+    driver.wait(0.01)
+    assert len(driver.sent) == 2
 
 
 def test_a_request_that_nobody_answers_makes_a_batch_go_one_by_one() -> None:
     silent = pdu.Diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY, b"\0\0")
-    talk = Talk(turnaround=0.1)
-    batch = talk.ask(1, silent, 2, one_by_one=False)
-    assert len(talk.sent) == 1
-    talk.come(answer(talk))
-    assert len(talk.sent) == 2
-    talk.wait(0.1)
-    talk.come(answer(talk))
+    driver = Driver(turnaround=0.1)
+    batch = driver.ask(1, silent, 2, one_by_one=False)
+    assert len(driver.sent) == 1
+    driver.come(answer(driver))
+    assert len(driver.sent) == 2
+    driver.wait(0.1)
+    driver.come(answer(driver))
     assert batch.outcomes == [[1], None, [2]]

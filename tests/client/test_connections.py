@@ -28,8 +28,8 @@ from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.clients import ALL, Connect, World, connecting, read
-from tests.support.peers import answer, dead, ignore, peer_at, refusing, until, url_of
-from tests.support.reads import good
+from tests.support.peers import answer, ignore, mute_port, peer_at, refusing, until, url_of
+from tests.support.reads import on_read
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 
@@ -71,7 +71,7 @@ def test_request_waits_for_the_next_attempt_if_it_has_time(world: World, max_pau
     plc = world.connect(NOBODY, timeout=1, max_pause=max_pause)
     with pytest.raises(ModbusConnectionError):
         plc.connect()
-    Scripted(world.network, NOBODY, good)
+    Scripted(world.network, NOBODY, on_read)
     before = world.now
     assert plc.execute(REQUEST) == [5]
     waited = world.now - before
@@ -108,7 +108,7 @@ def test_server_that_hangs_up_at_once_is_not_hammered(world: World) -> None:
 
 def test_connections_that_end_are_made_anew_by_the_next_request(world: World) -> None:
     """At once, before the client has read of the end, and later."""
-    peer = world.peer("tcp", good)
+    peer = world.peer("tcp", on_read)
     with world.connect(peer.url, max_pause=0) as plc:
         for number in range(1, 4):
             assert plc.execute(REQUEST) == [5]
@@ -178,7 +178,7 @@ def test_a_port_that_is_unplugged_on_the_real_system(kind: str, tmp_path: Path) 
 
 def test_handles_of_several_units_share_the_connection(world: World) -> None:
     """Unit 0 over TCP is a unit like others."""
-    peer = world.peer("tcp", good)
+    peer = world.peer("tcp", on_read)
     with world.connect(peer.url, unit=0) as plc:
         handles = [plc, plc.for_unit(9), plc.for_unit(255)]
         assert [each.read_holding_registers(7, 1) for each in handles] == [[7]] * 3
@@ -190,7 +190,7 @@ def test_handles_of_several_units_share_the_connection(world: World) -> None:
 
 
 def test_close_is_idempotent_and_final(world: World) -> None:
-    plc = world.client_of("tcp", good)
+    plc = world.client_of("tcp", on_read)
     assert not plc.closed
     plc.execute(REQUEST)
     plc.close()
@@ -208,7 +208,7 @@ def somebody_waits(request: pytest.FixtureRequest, connect: Connect) -> Iterator
     """A client, and what asks it and waits for longer than a test may take."""
     with contextlib.ExitStack() as stack:
         if request.param == "a connection":
-            plc = connect(f"tcp://127.0.0.1:{stack.enter_context(dead())}", timeout=600)
+            plc = connect(f"tcp://127.0.0.1:{stack.enter_context(mute_port())}", timeout=600)
         elif request.param == "an answer":
             plc = connect(stack.enter_context(peer_at("tcp", ignore)).url, timeout=600)
         else:
@@ -264,7 +264,7 @@ async def outcome(client: AsyncClient, timeout: float) -> tuple[float, object]:
 def test_a_request_with_more_time_gets_another_attempt() -> None:
     network = Network()
     network.unreachable.add(HOST)
-    Scripted(network, URL, good)
+    Scripted(network, URL, on_read)
 
     async def main() -> None:
         async with asyncio.timeout(60):

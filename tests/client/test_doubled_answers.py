@@ -8,9 +8,9 @@ import pytest
 from libmodbus_py import InvalidResponse, pdu
 from libmodbus_py.client.history import REMEMBERED, Pair
 from tests.support.clients import World, read
+from tests.support.driver import Driver, kinds, rtu, small_memory, value
 from tests.support.peers import Write, answer
-from tests.support.replies import exchange, unanswered
-from tests.support.talk import Talk, kinds, little_kept, rtu, value
+from tests.support.replies import exchange, time_out
 
 LINE = "rtu:///dev/nowhere?silence=0"
 
@@ -56,66 +56,66 @@ def test_a_copy_right_behind_each_answer_is_never_the_next_value(world: World, s
         assert failures(client, 20) < 10
 
 
-def asked(talk: Talk, address: int, *answers: tuple[float, bytes]) -> object:
+def asked(driver: Driver, address: int, *answers: tuple[float, bytes]) -> object:
     """Return the outcome of a read to which such answers come, each after so many seconds."""
-    talk.wait(0.05)
-    batch, start = talk.ask(address), talk.now
+    driver.wait(0.05)
+    batch, start = driver.ask(address), driver.now
     for after, each in answers:
-        talk.wait_until(start + after)
-        talk.come(each)
-    talk.wait_until(start + 0.2)
+        driver.wait_until(start + after)
+        driver.come(each)
+    driver.wait_until(start + 0.2)
     return batch.outcomes[0]
 
 
-def warm() -> Talk:
-    """Return a talk whose unit answers after 10 ms."""
-    talk = Talk(LINE, timeout=1)
+def warm() -> Driver:
+    """Return a driver whose unit answers after 10 ms."""
+    driver = Driver(LINE, timeout=1)
     for each in range(1, 20):
-        assert asked(talk, each, (0.01, value(each))) == [each]
-    return talk
+        assert asked(driver, each, (0.01, value(each))) == [each]
+    return driver
 
 
 def test_what_several_registers_have_in_common_is_believed() -> None:
     """Each is held the first time only."""
-    talk = warm()
+    driver = warm()
     for addresses in ((50, 51, 52), (50, 51, 52)):
         for address in addresses:
-            assert asked(talk, address, (0.01, value(0))) == [0]
-    exchange(talk, 50, 0, after=0.01)
+            assert asked(driver, address, (0.01, value(0))) == [0]
+    exchange(driver, 50, 0, after=0.01)
 
 
 def test_an_answer_that_is_doubted_behind_an_echo_is_not_taken_for_damage() -> None:
     """The echo of a write is not a frame of an answer, but it begins as its answer does."""
     write = pdu.WriteRegisters(1, [1, 2])
-    talk = Talk(LINE, timeout=1)
+    driver = Driver(LINE, timeout=1)
     for after in (0.01, 0.001):
-        batch, start = talk.ask(write), talk.now
-        talk.wait_until(start + after)
-        talk.come(talk.sent[-1] + rtu("01 10 0001 0002"))
-        talk.wait_until(start + 0.1)
+        batch, start = driver.ask(write), driver.now
+        driver.wait_until(start + after)
+        driver.come(driver.sent[-1] + rtu("01 10 0001 0002"))
+        driver.wait_until(start + 0.1)
         assert batch.outcomes == [None]
 
 
 def test_answers_of_a_unit_that_became_faster_are_held_once() -> None:
-    talk = warm()
+    driver = warm()
     for each in (20, 21, 22):
-        batch = talk.ask(each)
-        talk.wait(0.005)
-        talk.come(value(each))
+        batch = driver.ask(each)
+        driver.wait(0.005)
+        driver.come(value(each))
         assert batch.is_done is (each > 20)
-        talk.wait(0.05)
+        driver.wait(0.05)
         assert batch.outcomes == [[each]]
 
 
 def test_answers_that_vary_in_time_are_believed_at_once() -> None:
     """As on a network, where the time of one says little of the next."""
-    talk, chance, count = Talk(LINE, timeout=1), random.Random(1), 0
+    driver, chance, count = Driver(LINE, timeout=1), random.Random(1), 0
     for each in range(1, 2000):
-        batch = talk.ask(each)
-        talk.wait(0.002 + chance.expovariate(200))
-        talk.come(value(each))
+        batch = driver.ask(each)
+        driver.wait(0.002 + chance.expovariate(200))
+        driver.come(value(each))
         count += not batch.is_done
-        talk.wait(0.1)
+        driver.wait(0.1)
         assert batch.outcomes == [[each]]
     assert count < 5
 
@@ -123,38 +123,38 @@ def test_answers_that_vary_in_time_are_believed_at_once() -> None:
 def test_polls_of_values_that_flip_take_no_longer_than_others() -> None:
     chance, seconds = random.Random(1), {}
     for name, most in (("different", None), ("constant", 0), ("flip", 1), ("few", 15)):
-        talk = Talk(LINE, timeout=1)
+        driver = Driver(LINE, timeout=1)
         for each in range(3000):
-            batch = talk.ask(each % 10)
-            talk.wait(chance.uniform(0.004, 0.006))
-            talk.come(value(each if most is None else chance.randint(0, most)))
+            batch = driver.ask(each % 10)
+            driver.wait(chance.uniform(0.004, 0.006))
+            driver.come(value(each if most is None else chance.randint(0, most)))
             while not batch.is_done:
-                talk.wait(0.001)
-        seconds[name] = talk.now
+                driver.wait(0.001)
+        seconds[name] = driver.now
     assert max(seconds.values()) < 1.02 * min(seconds.values())
 
 
 @pytest.mark.parametrize("pause", [0.02, 0.5])
 def test_values_are_right_again_after_a_pause(pause: float) -> None:
     """Longer than a response takes, which is 10 ms."""
-    talk = warm()
-    unanswered(talk, 100)
-    present = talk.ask(101)
-    talk.wait(0.9)  # the line must be silent
-    talk.wait(0.01)
-    talk.come(value(100))
+    driver = warm()
+    time_out(driver, 100)
+    present = driver.ask(101)
+    driver.wait(0.9)  # the line must be silent
+    driver.wait(0.01)
+    driver.come(value(100))
     assert not present.is_done
-    talk.wait(0.01)
-    talk.come(value(101))
+    driver.wait(0.01)
+    driver.come(value(101))
     assert kinds(present) == [InvalidResponse]
     for address in range(102, 110):
-        talk.wait(pause)
-        count = len(talk.sent) + 1
-        batch = talk.ask(address)
-        talk.wait_for(count)  # the unit must be silent
-        talk.wait(0.01)
-        talk.come(value(address))
-        talk.wait(0.1)
+        driver.wait(pause)
+        count = len(driver.sent) + 1
+        batch = driver.ask(address)
+        driver.wait_for(count)  # the unit must be silent
+        driver.wait(0.01)
+        driver.come(value(address))
+        driver.wait(0.1)
         assert batch.outcomes == [[address]]
 
 
@@ -170,7 +170,7 @@ def test_values_that_always_change_take_no_memory() -> None:
 
     for count in range(2 * REMEMBERED):
         note(count)
-    with little_kept():
+    with small_memory():
         for count in range(2 * REMEMBERED, 5 * REMEMBERED):
             note(count)
     assert pair.slowest == 0.1

@@ -11,8 +11,8 @@ from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusError
 from libmodbus_py.client.outcomes import explain
 from tests.support.cases import each_case
 from tests.support.clients import ALL, World, asking, read
+from tests.support.driver import Driver, ascii_frame, rtu, tcp
 from tests.support.peers import FakeServer, answering, mbap
-from tests.support.talk import Talk, ascii_frame, rtu, tcp
 
 NOISE = bytes(range(0x70, 0xF0))
 
@@ -144,12 +144,12 @@ def test_another_framing_is_recognised(scheme: str, received: str, hint: str) ->
 def test_tls_is_named_where_a_request_was_answered_by_the_end_of_a_new_connection(
     is_answered: bool, asks: bool, by_itself: bool, is_told: bool
 ) -> None:
-    talk = Talk()
+    driver = Driver()
     if is_answered:
-        talk.ask(1)
-        talk.come(tcp(talk.sent[0]))
+        driver.ask(1)
+        driver.come(tcp(driver.sent[0]))
     if asks:
-        talk.ask(2)
+        driver.ask(2)
     error = ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
-    talk.lose(error, by_itself=by_itself)
+    driver.lose(error, by_itself=by_itself)
     assert ("does it want tls://?" in str(error)) is is_told

@@ -24,7 +24,7 @@ from tests.support.c_programs import SOURCES, compile_c
 from tests.support.clients import Connect, World, asking
 from tests.support.interop import program
 from tests.support.peers import OnRequest, TcpPeer, Write, echo, has_header, ignore, mbap
-from tests.support.reads import echoes, good, reads
+from tests.support.reads import echoes, on_read, reads
 
 UNIT = 17
 
@@ -130,7 +130,7 @@ def test_nothing_to_ask_needs_no_connection(connect: Connect) -> None:
     ],
 )
 def test_nothing_is_sent_for_bad_arguments(world: World, requests, options, kind, message) -> None:
-    peer = world.peer("tcp", good)
+    peer = world.peer("tcp", on_read)
     with world.connect(peer.url, max_in_flight=16) as context:
         with pytest.raises(kind, match=message):
             context.execute_many(requests, **options)
@@ -182,9 +182,9 @@ def test_requests_left_behind_by_a_failure_poison_nothing(world: World, again: s
         write(echo(late[-1]))
         for request in (*fresh, *reversed(late[1:-1])):
             write(echo(request))
-        peer.on_request = good
+        peer.on_request = on_read
 
-    peer = world.peer("tcp", good)
+    peer = world.peer("tcp", on_read)
     with world.connect(peer.url, max_in_flight=16) as context:
         for _ in range(2):
             assert context.read_holding_registers(1, 1) == [1]
@@ -211,7 +211,7 @@ def test_first_failure_in_the_order_of_requests_is_raised_at_once(world: World) 
             write(each, after=0.05)
         for each in (echo(requests[0]), mbap(requests[2], b"\x04\x02\0\0")):
             write(each, after=0.051)
-        peer.on_request = good
+        peer.on_request = on_read
 
     peer = world.peer("tcp", Gathered(world, play))
     with world.connect(peer.url, timeout=60, max_in_flight=16) as context:
@@ -301,7 +301,7 @@ def test_lost_connection_fails_what_was_in_flight_and_the_rest_goes_on(world: Wo
 
 def test_threads_share_a_context_and_batches(connect: Connect) -> None:
     with (
-        TcpPeer(good) as server,
+        TcpPeer(on_read) as server,
         connect(server.url, timeout=30) as context,
         ThreadPoolExecutor(3) as pool,
     ):
@@ -320,7 +320,7 @@ def test_threads_share_a_context_and_batches(connect: Connect) -> None:
 def test_ctrl_c_in_a_batch_leaves_a_usable_context() -> None:
     def interrupt(request: bytes, write: Write) -> None:
         os.kill(os.getpid(), signal.SIGINT)
-        server.on_request = good
+        server.on_request = on_read
 
     with TcpPeer(interrupt) as server, asking("blocking", server.url, timeout=600) as context:
         with pytest.raises(KeyboardInterrupt):

@@ -17,8 +17,8 @@ import pytest
 
 from libmodbus_py import AsyncClient, Client, ModbusConnectionError, ModbusError, State
 from tests.support.clients import ALL, Awaited, Connect, asking, connecting
-from tests.support.peers import TcpPeer, dead, ignore, peer_at, until
-from tests.support.reads import good, good_at
+from tests.support.peers import TcpPeer, ignore, mute_port, peer_at, until
+from tests.support.reads import on_read, on_read_at
 from tests.support.signals import on_alarm
 
 
@@ -44,7 +44,7 @@ def test_an_error_while_connecting_leaves_a_client_that_can(kind, error, monkeyp
     def interrupt(*_: object) -> None:
         raise Interruption
 
-    with TcpPeer(good) as peer, connecting_here(kind) as connect:
+    with TcpPeer(on_read) as peer, connecting_here(kind) as connect:
         client = connect(peer.url)
         with monkeypatch.context() as patch:
             for name in ("connect", "connect_ex"):
@@ -101,9 +101,9 @@ def waiting_context(place: str) -> Iterator[tuple[Client, Callable[[], object]]]
     """A context, and a request on it that waits for long."""
     with contextlib.ExitStack() as stack:
         if place == "connecting":
-            url = f"tcp://127.0.0.1:{stack.enter_context(dead())}"
+            url = f"tcp://127.0.0.1:{stack.enter_context(mute_port())}"
         else:
-            peer = stack.enter_context(peer_at(place, good_at(place)))
+            peer = stack.enter_context(peer_at(place, on_read_at(place)))
             url = peer.url
         context = Client(url, timeout=600)
         stack.callback(context.close)
@@ -203,7 +203,7 @@ def test_close_and_requests_in_a_finalizer_during_a_request() -> None:
 @pytest.mark.filterwarnings("ignore:.*unclosed <socket.*")
 def test_ctrl_c_at_any_moment_fails_no_later_request(place: str) -> None:
     """Each request that is not interrupted is right; none meets what an interrupted one left."""
-    with peer_at(place, good_at(place)) as peer, Client(peer.url, timeout=0.3) as context:
+    with peer_at(place, on_read_at(place)) as peer, Client(peer.url, timeout=0.3) as context:
         interrupted = 0
         before = signal.signal(signal.SIGALRM, signal.default_int_handler)
         try:
@@ -238,7 +238,7 @@ class Interrupted:
 
 
 def test_the_connection_is_left_by_the_next_request(monkeypatch: pytest.MonkeyPatch) -> None:
-    with TcpPeer(good) as peer, Client(peer.url) as context:
+    with TcpPeer(on_read) as peer, Client(peer.url) as context:
         assert context.read_holding_registers(6, 1) == [6]
         driver = context._driver
         Interrupted(monkeypatch, driver, "_turn")
@@ -251,7 +251,7 @@ def test_the_connection_is_left_by_the_next_request(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_client_that_was_closed_meanwhile_is_closed_by_the_next_request(monkeypatch) -> None:
-    with TcpPeer(good) as peer:
+    with TcpPeer(on_read) as peer:
         context = Client(peer.url)
         assert context.read_holding_registers(6, 1) == [6]
         Interrupted(monkeypatch, context._driver, "_shut")

@@ -12,57 +12,57 @@ from libmodbus_py import InvalidResponse, ModbusError, pdu
 from libmodbus_py.client.history import REMEMBERED, History, history_of
 from libmodbus_py.ports.endpoint import parse
 from tests.support.cases import each_case
-from tests.support.replies import exchange, unanswered
-from tests.support.talk import LINE, Talk, kinds, value
+from tests.support.driver import LINE, Driver, kinds, value
+from tests.support.replies import exchange, time_out
 
 
-def closed(talk: Talk) -> Talk:
-    talk.connection.closed(talk.now)
-    return talk
+def closed(driver: Driver) -> Driver:
+    driver.connection.closed(driver.now)
+    return driver
 
 
-def asked_twice(url: str = LINE) -> Talk:
+def asked_twice(url: str = LINE) -> Driver:
     """Return a client that was closed while unit 1 owes an answer; its answers take 10 ms."""
-    talk = Talk(url, timeout=1)
-    exchange(talk, 1, after=0.01)
-    unanswered(talk, 2)
-    return closed(talk)
+    driver = Driver(url, timeout=1)
+    exchange(driver, 1, after=0.01)
+    time_out(driver, 2)
+    return closed(driver)
 
 
 def test_a_late_answer_is_no_value_of_the_next_client() -> None:
     former = asked_twice()
-    talk = Talk(LINE, after=former, is_new=True, timeout=1)
-    batch = talk.ask(3)
-    talk.wait_for(1)
-    assert talk.times == pytest.approx([former.now + 0.02])
-    talk.wait(0.01)
-    talk.come(value(2))
-    talk.wait(0.01)
-    talk.come(value(3))
+    driver = Driver(LINE, after=former, is_new=True, timeout=1)
+    batch = driver.ask(3)
+    driver.wait_for(1)
+    assert driver.times == pytest.approx([former.now + 0.02])
+    driver.wait(0.01)
+    driver.come(value(2))
+    driver.wait(0.01)
+    driver.come(value(3))
     assert kinds(batch) == [InvalidResponse]
 
 
 def test_a_request_in_flight_when_its_client_is_closed_leaves_doubt() -> None:
-    former = Talk(LINE, timeout=1)
+    former = Driver(LINE, timeout=1)
     exchange(former, 1, after=0.01)
     former.ask(2)
-    talk = Talk(LINE, after=closed(former), timeout=1)
-    talk.ask(3)
-    assert talk.sent == []
+    driver = Driver(LINE, after=closed(former), timeout=1)
+    driver.ask(3)
+    assert driver.sent == []
 
 
 def test_the_first_answer_after_opening_a_known_line_is_held_for_twice_the_slowest() -> None:
-    former = Talk(LINE, timeout=1)
+    former = Driver(LINE, timeout=1)
     exchange(former, 1, after=0.01)
-    talk = Talk(LINE, after=closed(former), is_new=True, timeout=1)
-    batch = talk.ask(2)
-    talk.wait(0.01)
-    talk.come(value(2))
-    talk.wait(0.019)
+    driver = Driver(LINE, after=closed(former), is_new=True, timeout=1)
+    batch = driver.ask(2)
+    driver.wait(0.01)
+    driver.come(value(2))
+    driver.wait(0.019)
     assert not batch.is_done
-    talk.wait(0.002)
+    driver.wait(0.002)
     assert batch.outcomes == [[2]]
-    exchange(talk, 3, after=0.01)
+    exchange(driver, 3, after=0.01)
 
 
 @each_case("url", [LINE, "rtu+tcp://192.0.2.1"])
@@ -70,73 +70,73 @@ def test_a_client_for_each_poll_has_no_value_of_another_request(url: str) -> Non
     """Of 2 000 answers each 40th is late by 1 to 50 ms, and comes to the next client, too."""
     chance, former, count, late = random.Random(1), None, 0, []
     for _ in range(400):
-        former = talk = Talk(url, after=former, is_new=True, timeout=0.1)
+        former = driver = Driver(url, after=former, is_new=True, timeout=0.1)
         for address in range(1, 6):
-            end = len(talk.sent) + 1
-            batch = talk.ask(address)
+            end = len(driver.sent) + 1
+            batch = driver.ask(address)
             while not batch.is_done:
-                if len(talk.sent) == end:
+                if len(driver.sent) == end:
                     end, count = end + 1, count + 1
                     after = 0.1 + chance.uniform(0.001, 0.05) if count % 40 == 17 else 0.008
-                    late.append((talk.times[-1] + after, value(7 * address)))
+                    late.append((driver.times[-1] + after, value(7 * address)))
                     late.sort()
-                if late and late[0][0] <= talk.matching.alarm:
-                    talk.wait_until(max(late[0][0], talk.now))
-                    talk.come(late.pop(0)[1])
+                if late and late[0][0] <= driver.matching.alarm:
+                    driver.wait_until(max(late[0][0], driver.now))
+                    driver.come(late.pop(0)[1])
                 else:
-                    talk.wait_until(talk.matching.alarm)
+                    driver.wait_until(driver.matching.alarm)
             assert isinstance(batch.outcomes[0], ModbusError) or batch.outcomes == [[7 * address]]
-        closed(talk)
+        closed(driver)
     assert count > 1900
 
 
 def test_the_first_answer_is_held_until_the_line_has_been_open_for_60_ms() -> None:
-    talk = Talk(LINE, is_new=True, timeout=1)
-    batch = talk.ask(1)
-    talk.wait(0.005)
-    talk.come(value(1))
-    talk.wait(0.054)
+    driver = Driver(LINE, is_new=True, timeout=1)
+    batch = driver.ask(1)
+    driver.wait(0.005)
+    driver.come(value(1))
+    driver.wait(0.054)
     assert not batch.is_done
-    talk.wait(0.002)
+    driver.wait(0.002)
     assert batch.outcomes == [[1]]
-    exchange(talk, 2, after=0.005)
+    exchange(driver, 2, after=0.005)
 
 
 def test_an_answer_that_takes_longer_than_20_ms_is_held_for_twice_its_time() -> None:
-    talk = Talk(LINE, is_new=True, timeout=1)
-    batch = talk.ask(1)
-    talk.wait(0.1)
-    talk.come(value(1))
-    talk.wait(0.19)
+    driver = Driver(LINE, is_new=True, timeout=1)
+    batch = driver.ask(1)
+    driver.wait(0.1)
+    driver.come(value(1))
+    driver.wait(0.19)
     assert not batch.is_done
-    talk.wait(0.02)
+    driver.wait(0.02)
     assert batch.outcomes == [[1]]
 
 
 def test_a_line_that_has_been_open_and_silent_has_no_answer_under_way() -> None:
-    talk = Talk(LINE, is_new=True, timeout=1)
-    talk.wait(1)
-    exchange(talk, 1, after=0.005)
+    driver = Driver(LINE, is_new=True, timeout=1)
+    driver.wait(1)
+    exchange(driver, 1, after=0.005)
 
 
 @each_case("late", [0.001, 0.004, 0.006, 0.02, 0.05])
 @each_case("is_polled", [True, False])
 def test_an_answer_to_another_program_is_no_value(late: float, is_polled: bool) -> None:
     """The unit answers each request after 5 ms, and one of another program in between."""
-    talk = Talk(LINE, is_new=True, timeout=1)
-    start, failures = talk.now, 0
+    driver = Driver(LINE, is_new=True, timeout=1)
+    start, failures = driver.now, 0
     for address in range(1, 30):
-        count = len(talk.sent) + 1
-        batch = talk.ask(address)
-        talk.wait_for(count)
-        due = talk.times[-1] + 0.005
+        count = len(driver.sent) + 1
+        batch = driver.ask(address)
+        driver.wait_for(count)
+        due = driver.times[-1] + 0.005
         for at, frame in sorted([(start + late, value(99)), (due, value(address))]):
-            if at >= talk.now:
-                talk.wait_until(at)
-                talk.come(frame)
-        talk.wait(0.1 if is_polled else 0)
+            if at >= driver.now:
+                driver.wait_until(at)
+                driver.come(frame)
+        driver.wait(0.1 if is_polled else 0)
         while not batch.is_done:
-            talk.wait(0.001)
+            driver.wait(0.001)
         failures += batch.outcomes != [[address]]
         assert kinds(batch) in ([[address]], [InvalidResponse])
     assert failures <= 1
@@ -191,12 +191,12 @@ def test_threads_that_open_a_line_at_once_share_what_is_known() -> None:
 
 
 def test_the_history_keeps_no_request_alive() -> None:
-    talk = Talk(LINE, timeout=1)
-    talk.ask(pdu.ReadHoldingRegisters(1, 1))
-    talk.wait(1)
-    history: History = talk.matching._history
+    driver = Driver(LINE, timeout=1)
+    driver.ask(pdu.ReadHoldingRegisters(1, 1))
+    driver.wait(1)
+    history: History = driver.matching._history
     assert history.pair(1, 3, 0.0).is_doubted
-    del talk
+    del driver
     gc.collect()
     assert history.pair(1, 3, 0.0).owed is None
 

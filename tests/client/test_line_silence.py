@@ -7,112 +7,112 @@ import pytest
 from libmodbus_py import InvalidResponse, ModbusError, ModbusTimeoutError, pdu
 from libmodbus_py.ports.trace import Traced
 from tests.support.cases import each_case
-from tests.support.replies import exchange, unanswered
-from tests.support.talk import LINE, Talk, kinds, little_kept, value
+from tests.support.driver import LINE, Driver, kinds, small_memory, value
+from tests.support.replies import exchange, time_out
 
 
-def units(talk: Talk) -> list[int]:
+def units(driver: Driver) -> list[int]:
     """Return who was asked."""
-    return [adu[0] for adu in talk.sent]
+    return [adu[0] for adu in driver.sent]
 
 
-def learnt(*unit: int) -> Talk:
+def learnt(*unit: int) -> Driver:
     """Return a line whose units have answered at once: HOLD is as short as can be."""
-    talk = Talk(LINE, timeout=1)
+    driver = Driver(LINE, timeout=1)
     for each in unit:
-        exchange(talk, 1, unit=each)
-    talk.forget()
-    return talk
+        exchange(driver, 1, unit=each)
+    driver.forget()
+    return driver
 
 
 def test_a_late_answer_in_another_units_turn_is_dropped_and_starts_the_silence_anew() -> None:
-    talk = learnt(1, 2)
-    unanswered(talk, 0, unit=1)
-    other = talk.ask(6, unit=2)
-    talk.wait_until(1.5)
-    talk.come(value(0, unit=1))
-    talk.come(value(6, unit=2))
-    talk.wait(0.5)  # it took so much longer than before that it is held
+    driver = learnt(1, 2)
+    time_out(driver, 0, unit=1)
+    other = driver.ask(6, unit=2)
+    driver.wait_until(1.5)
+    driver.come(value(0, unit=1))
+    driver.come(value(6, unit=2))
+    driver.wait(0.5)  # it took so much longer than before that it is held
     assert other.outcomes == [[6]]
-    again = talk.ask(7, unit=1)
-    talk.wait_until(2.4)
-    assert units(talk) == [1, 2]
-    talk.wait_until(2.5)
-    talk.come(value(7, unit=1))
-    talk.wait(0)
+    again = driver.ask(7, unit=1)
+    driver.wait_until(2.4)
+    assert units(driver) == [1, 2]
+    driver.wait_until(2.5)
+    driver.come(value(7, unit=1))
+    driver.wait(0)
     assert again.outcomes == [[7]]
-    assert talk.statistics.late_answers == 1
+    assert driver.statistics.late_answers == 1
 
 
 def test_the_silence_is_as_long_as_the_timeout_of_the_request_that_failed() -> None:
-    talk = Talk(LINE, timeout=5)
-    talk.ask(5, timeout=0.3)
-    talk.wait(0.3)
-    talk.ask(6)
-    talk.wait(0.3)
-    assert talk.times == pytest.approx([0, 0.6])
+    driver = Driver(LINE, timeout=5)
+    driver.ask(5, timeout=0.3)
+    driver.wait(0.3)
+    driver.ask(6)
+    driver.wait(0.3)
+    assert driver.times == pytest.approx([0, 0.6])
 
 
-def send_slowly(talk: Talk, data: bytes, seconds: float) -> None:
+def send_slowly(driver: Driver, data: bytes, seconds: float) -> None:
     """Bytes every 100 ms."""
     for _ in range(round(seconds * 10)):
-        talk.come(data)
-        talk.wait(0.1)
+        driver.come(data)
+        driver.wait(0.1)
 
 
 @pytest.mark.parametrize("data", [b"\x01", b"\x01\x03" * 50])
 def test_a_unit_that_does_not_fall_silent_is_asked_after_one_timeout(data: bytes) -> None:
-    talk = Talk(LINE, timeout=1)
-    unanswered(talk, 0)
-    batch = talk.ask(6)
-    send_slowly(talk, data, 0.9)
-    assert len(talk.sent) == 1
-    send_slowly(talk, data, 0.2)
-    assert len(talk.sent) == 2
-    talk.wait(1)
+    driver = Driver(LINE, timeout=1)
+    time_out(driver, 0)
+    batch = driver.ask(6)
+    send_slowly(driver, data, 0.9)
+    assert len(driver.sent) == 1
+    send_slowly(driver, data, 0.2)
+    assert len(driver.sent) == 2
+    driver.wait(1)
     assert batch.is_done
 
 
 def test_what_is_sent_without_silence_has_its_answer_on_hold() -> None:
-    talk = learnt(1)
-    unanswered(talk, 0)
+    driver = learnt(1)
+    time_out(driver, 0)
     for frame, result in ((value(0), InvalidResponse), (b"", [7])):
-        batch = talk.ask(7)
-        send_slowly(talk, value(0)[:2], 1.0)
-        talk.wait(0.2)
-        talk.come(frame or value(7))
-        talk.wait(0.1)
+        batch = driver.ask(7)
+        send_slowly(driver, value(0)[:2], 1.0)
+        driver.wait(0.2)
+        driver.come(frame or value(7))
+        driver.wait(0.1)
         assert not batch.is_done
-        talk.come(frame and value(7))
-        talk.wait(0.4)
+        driver.come(frame and value(7))
+        driver.wait(0.4)
         assert kinds(batch) == [result]
 
 
 def test_a_repetition_does_not_wait_for_ever_for_silence() -> None:
-    talk = Talk(LINE, timeout=1, retries=1)
-    batch = talk.ask(6)
-    talk.wait(1)
-    send_slowly(talk, b"\x01", 2.2)
+    driver = Driver(LINE, timeout=1, retries=1)
+    batch = driver.ask(6)
+    driver.wait(1)
+    send_slowly(driver, b"\x01", 2.2)
     assert isinstance(batch.outcomes[0], ModbusError)
-    assert talk.is_at_rest
+    assert driver.is_at_rest
 
 
 def test_a_caller_that_left_does_not_shorten_the_patience_of_the_next() -> None:
-    talk = learnt(1)
-    unanswered(talk, 0)
-    leaving = talk.ask(6)
-    send_slowly(talk, b"\x01", 0.5)
-    talk.cancel(leaving)
-    talk.ask(7)
-    send_slowly(talk, b"\x01", 0.9)
-    assert len(talk.sent) == 1
+    driver = learnt(1)
+    time_out(driver, 0)
+    leaving = driver.ask(6)
+    send_slowly(driver, b"\x01", 0.5)
+    driver.cancel(leaving)
+    driver.ask(7)
+    send_slowly(driver, b"\x01", 0.9)
+    assert len(driver.sent) == 1
 
 
 @each_case("others", [(0.05, 0.3), (0.3, 0.1), (1.0, 1.0)])
 def test_one_lost_answer_on_a_busy_line_costs_one_timeout(others: tuple[float, float]) -> None:
     """Another master polls unit 9, and stray bytes come: unit 1 is asked again, and answers."""
     frames, strays = others
-    talk = Talk(LINE, timeout=1)
+    driver = Driver(LINE, timeout=1)
     events = [(at * frames, value(7, unit=9)) for at in range(1, 20)]
     events += [(at * strays, b"\xff") for at in range(1, 20)]
 
@@ -120,17 +120,17 @@ def test_one_lost_answer_on_a_busy_line_costs_one_timeout(others: tuple[float, f
         while events and min(events)[0] <= at:
             event = min(events)
             events.remove(event)
-            talk.wait_until(event[0])
-            talk.come(event[1])
-        talk.wait_until(at)
+            driver.wait_until(event[0])
+            driver.come(event[1])
+        driver.wait_until(at)
 
-    exchange(talk, 1, after=0.01)
-    talk.ask(2)
+    exchange(driver, 1, after=0.01)
+    driver.ask(2)
     pass_until(1.01)
-    batch = talk.ask(3)
+    batch = driver.ask(3)
     pass_until(1.05)
-    assert len(talk.sent) == 3
-    talk.come(value(3))
+    assert len(driver.sent) == 3
+    driver.come(value(3))
     pass_until(1.15)
     assert batch.outcomes == [[3]]
 
@@ -138,130 +138,130 @@ def test_one_lost_answer_on_a_busy_line_costs_one_timeout(others: tuple[float, f
 def test_the_clock_rests_after_half_an_answer() -> None:
     """An alarm that lay in the past would have an event loop spin."""
     for end in ("timeout", "cancelled", "lost"):
-        talk = Talk("rtu+tcp://192.0.2.1", timeout=1)
-        batch = talk.ask(1)
-        talk.wait(0.99)
-        talk.come(value(1)[:4])
+        driver = Driver("rtu+tcp://192.0.2.1", timeout=1)
+        batch = driver.ask(1)
+        driver.wait(0.99)
+        driver.come(value(1)[:4])
         if end == "timeout":
-            talk.wait(0.01)
+            driver.wait(0.01)
         elif end == "cancelled":
-            talk.cancel(batch)
+            driver.cancel(batch)
         else:
-            talk.lose()
-        talk.wait(5)
+            driver.lose()
+        driver.wait(5)
         assert batch.is_done
-        assert talk.matching.alarm == math.inf, end
+        assert driver.matching.alarm == math.inf, end
 
 
 def test_only_the_unit_that_owes_an_answer_is_left_alone() -> None:
-    talk = Talk(LINE, timeout=0.1)
-    talk.ask(1, unit=7)
-    talk.wait(0.1)
-    assert talk.matching.ready_at(7) == talk.matching.ready_at(7, 3) == 0.2
-    assert talk.matching.ready_at(7, 4) == talk.matching.ready_at(8) == 0.0
-    assert talk.matching.ready_at(0) == 0.0  # a broadcast has no answer
-    exchange(talk, 2, unit=8)
+    driver = Driver(LINE, timeout=0.1)
+    driver.ask(1, unit=7)
+    driver.wait(0.1)
+    assert driver.matching.ready_at(7) == driver.matching.ready_at(7, 3) == 0.2
+    assert driver.matching.ready_at(7, 4) == driver.matching.ready_at(8) == 0.0
+    assert driver.matching.ready_at(0) == 0.0  # a broadcast has no answer
+    exchange(driver, 2, unit=8)
 
 
 def test_an_answer_is_a_sign_of_life_on_lines_over_networks() -> None:
-    talk = Talk("rtu+tcp://192.0.2.1", timeout=1)
+    driver = Driver("rtu+tcp://192.0.2.1", timeout=1)
     for number in range(8):
-        batch = talk.ask(number)
-        talk.wait_for(number + 1)
+        batch = driver.ask(number)
+        driver.wait_for(number + 1)
         if number % 3 == 0:
-            talk.come(value(number))
-            talk.wait(0)
+            driver.come(value(number))
+            driver.wait(0)
             assert batch.outcomes == [[number]]
         else:
-            talk.wait(1)
+            driver.wait(1)
             assert kinds(batch) == [ModbusTimeoutError]
-        assert talk.connection.broken is None
-    assert talk.statistics.connects == 1
+        assert driver.connection.broken is None
+    assert driver.statistics.connects == 1
 
 
 def test_a_broadcast_waits_for_the_calls_before_it_and_for_no_doubt() -> None:
     """Unit 1 owes an answer: a broadcast goes at once, but not before a request to unit 1."""
-    talk = Talk(LINE, timeout=1, turnaround=0.1)
-    talk.ask(1, unit=1)
-    talk.wait(1.0)
-    talk.ask(pdu.WriteRegister(1, 1), unit=0, is_broadcast=True)
-    assert units(talk) == [1, 0]
-    talk.ask(2, unit=1)
-    talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
-    talk.ask(1, unit=5)
-    talk.wait(0.9)
-    assert len(talk.sent) == 2
-    talk.wait(0.1)
-    talk.wait(1.0)
-    assert units(talk) == [1, 0, 1, 0]
-    talk.wait(0.1)
-    assert units(talk) == [1, 0, 1, 0, 5]
+    driver = Driver(LINE, timeout=1, turnaround=0.1)
+    driver.ask(1, unit=1)
+    driver.wait(1.0)
+    driver.ask(pdu.WriteRegister(1, 1), unit=0, is_broadcast=True)
+    assert units(driver) == [1, 0]
+    driver.ask(2, unit=1)
+    driver.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
+    driver.ask(1, unit=5)
+    driver.wait(0.9)
+    assert len(driver.sent) == 2
+    driver.wait(0.1)
+    driver.wait(1.0)
+    assert units(driver) == [1, 0, 1, 0]
+    driver.wait(0.1)
+    assert units(driver) == [1, 0, 1, 0, 5]
 
 
 @pytest.mark.parametrize("half", ["01 03 FA 00", "01", "01 83", "01 03 02 00 07 00"])
 def test_half_a_frame_that_was_left_is_not_put_before_the_next_answer(half: str) -> None:
-    talk = Talk(LINE, timeout=1)
-    talk.ask(1)
-    talk.come(bytes.fromhex(half))
-    talk.wait(1.0)
-    batch = talk.ask(2)
-    talk.wait(1.5)
-    assert len(talk.sent) == 2
-    talk.come(value(2))
-    talk.wait(1)  # what unit 1 owes is another request, so this answer is not believed
+    driver = Driver(LINE, timeout=1)
+    driver.ask(1)
+    driver.come(bytes.fromhex(half))
+    driver.wait(1.0)
+    batch = driver.ask(2)
+    driver.wait(1.5)
+    assert len(driver.sent) == 2
+    driver.come(value(2))
+    driver.wait(1)  # what unit 1 owes is another request, so this answer is not believed
     assert kinds(batch) == [ModbusTimeoutError]
-    exchange(talk, 2, after=1)
+    exchange(driver, 2, after=1)
 
 
 def test_the_first_600_bytes_of_a_flood_are_kept() -> None:
     """Of what comes in place of an answer."""
     pieces = [bytes([0x80 + number]) * 250 for number in range(8)]
     start = b"".join(pieces)[:600]
-    talk = Talk(LINE, timeout=1)
-    first = talk.ask(1)
-    talk.come(*pieces)
-    talk.wait(1)
+    driver = Driver(LINE, timeout=1)
+    first = driver.ask(1)
+    driver.come(*pieces)
+    driver.wait(1)
     assert first.outcomes[0].received == start
-    second = talk.ask(2)
-    talk.come(*pieces)
-    talk.wait_for(2)
-    talk.come(*pieces)
-    talk.wait(1)
+    second = driver.ask(2)
+    driver.come(*pieces)
+    driver.wait_for(2)
+    driver.come(*pieces)
+    driver.wait(1)
     assert second.outcomes[0].received == start
 
 
 def test_a_late_answer_in_pieces_is_one_and_each_piece_puts_off_the_next_request() -> None:
-    talk = Talk(LINE, timeout=1)
-    exchange(talk, 1, after=0.01)
-    talk.forget()
-    unanswered(talk, 0)
-    batch = talk.ask(6)
+    driver = Driver(LINE, timeout=1)
+    exchange(driver, 1, after=0.01)
+    driver.forget()
+    time_out(driver, 0)
+    batch = driver.ask(6)
     for piece in (value(5)[:3], value(5)[3:]):
-        talk.wait(0.015)
-        talk.come(piece)
-    assert talk.statistics.late_answers == 1
-    late_at = talk.now
-    talk.wait_for(2)
-    assert talk.times[1] == pytest.approx(late_at + 0.02)
-    talk.wait(0.01)
-    talk.come(value(6))
-    talk.wait(0.02)
+        driver.wait(0.015)
+        driver.come(piece)
+    assert driver.statistics.late_answers == 1
+    late_at = driver.now
+    driver.wait_for(2)
+    assert driver.times[1] == pytest.approx(late_at + 0.02)
+    driver.wait(0.01)
+    driver.come(value(6))
+    driver.wait(0.02)
     assert batch.outcomes == [[6]]
 
 
 def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> None:
-    talk = Talk(LINE)
-    with little_kept():
-        talk.come(bytes(0x10000))
-    assert not talk.connection.is_flooded
-    talk.come(b"\0")
-    assert talk.connection.is_flooded
-    with little_kept():
+    driver = Driver(LINE)
+    with small_memory():
+        driver.come(bytes(0x10000))
+    assert not driver.connection.is_flooded
+    driver.come(b"\0")
+    assert driver.connection.is_flooded
+    with small_memory():
         for _ in range(100):
-            talk.come(bytes(0x1000))
-    assert talk.connection.broken is None  # a port is not opened anew for that
-    exchange(talk, 1, after=0.03)  # the line must have been quiet for a moment
-    assert not talk.connection.is_flooded
+            driver.come(bytes(0x1000))
+    assert driver.connection.broken is None  # a port is not opened anew for that
+    exchange(driver, 1, after=0.03)  # the line must have been quiet for a moment
+    assert not driver.connection.is_flooded
 
 
 @pytest.mark.parametrize(
@@ -271,11 +271,11 @@ def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> 
 )
 def test_unrequested_frames_are_traced(late: bytes) -> None:
     events: list[Traced] = []
-    talk = Talk(LINE, timeout=1, trace=events.append)
-    unanswered(talk, 0)
-    talk.come(late)
-    talk.wait(1)
-    talk.ask(1)  # what is no frame is traced before the next request
+    driver = Driver(LINE, timeout=1, trace=events.append)
+    time_out(driver, 0)
+    driver.come(late)
+    driver.wait(1)
+    driver.ask(1)  # what is no frame is traced before the next request
     receipts = [each for each in events if each.direction == "received"]
     assert b"".join(each.adu for each in receipts) == late
     frames = [(each.unit, each.function) for each in receipts if each.unit is not None]

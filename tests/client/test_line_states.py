@@ -12,8 +12,8 @@ from libmodbus_py import (
 )
 from libmodbus_py.client.call import Batch
 from tests.support.cases import each_case
-from tests.support.replies import answer, exchange, unanswered
-from tests.support.talk import LINE, TCP, Talk, kinds, rtu, value
+from tests.support.driver import LINE, TCP, Driver, kinds, rtu, value
+from tests.support.replies import answer, exchange, time_out
 
 WRITE = pdu.WriteRegister(1, 2)
 
@@ -22,124 +22,124 @@ WRITE = pdu.WriteRegister(1, 2)
 SILENCE = 0.02
 
 
-def usual(talk: Talk, number: int, unit: int = 1) -> None:
+def usual(driver: Driver, number: int, unit: int = 1) -> None:
     """A request whose answer takes 10 ms: HOLD lasts 20 ms then."""
-    exchange(talk, number, unit=unit, after=0.01)
+    exchange(driver, number, unit=unit, after=0.01)
 
 
-def hold(talk: Talk, batch: Batch, number: int, seconds: float = 0.02) -> None:
+def hold(driver: Driver, batch: Batch, number: int, seconds: float = 0.02) -> None:
     """Answer a request after 10 ms, and check that its result is held for so long."""
-    talk.wait(0.01)
-    talk.come(value(number))
-    talk.wait(seconds - 0.001)
+    driver.wait(0.01)
+    driver.come(value(number))
+    driver.wait(seconds - 0.001)
     assert not batch.is_done
-    talk.wait(0.002)
+    driver.wait(0.002)
     assert batch.outcomes == [[number]]
 
 
-def used() -> Talk:
+def used() -> Driver:
     """Return a line with units 1 and 2, which have answered well."""
-    talk = Talk(LINE, timeout=1)
+    driver = Driver(LINE, timeout=1)
     for unit in (1, 2):
-        usual(talk, 10 + unit, unit)
-    talk.wait(0.1)
-    talk.forget()
-    return talk
+        usual(driver, 10 + unit, unit)
+    driver.wait(0.1)
+    driver.forget()
+    return driver
 
 
-def in_doubt() -> Talk:
+def in_doubt() -> Driver:
     """Return a line whose unit 1 has not answered a read of register 5, two seconds ago."""
-    talk = used()
-    unanswered(talk, 5)
-    talk.wait(1)
-    return talk
+    driver = used()
+    time_out(driver, 5)
+    driver.wait(1)
+    return driver
 
 
 def test_idle_and_a_request_asked_at_once_or_after_two_slowest_answers_of_silence() -> None:
-    talk = used()
-    begun_at = talk.now
-    unanswered(talk, 5)
-    assert talk.times == [begun_at]
-    silent_from = talk.now
-    talk.ask(6)
-    talk.wait_for(2)
-    assert talk.times[1] == pytest.approx(silent_from + SILENCE)
+    driver = used()
+    begun_at = driver.now
+    time_out(driver, 5)
+    assert driver.times == [begun_at]
+    silent_from = driver.now
+    driver.ask(6)
+    driver.wait_for(2)
+    assert driver.times[1] == pytest.approx(silent_from + SILENCE)
 
 
 def test_a_unit_that_has_never_answered_is_silent_for_one_timeout() -> None:
-    talk = Talk(LINE, timeout=1)
-    unanswered(talk, 5)
-    talk.ask(6)
-    talk.wait_for(2)
-    assert talk.times == pytest.approx([0, 2])
+    driver = Driver(LINE, timeout=1)
+    time_out(driver, 5)
+    driver.ask(6)
+    driver.wait_for(2)
+    assert driver.times == pytest.approx([0, 2])
 
 
 @pytest.mark.parametrize("unit", [1, 2, 3])
 def test_a_frame_while_idle_is_counted_and_leads_to_doubt(unit: int) -> None:
-    talk = used()
-    talk.come(value(7, unit=unit))
-    assert talk.statistics.late_answers == 1
-    came_at, batch = talk.now, talk.ask(6, unit=unit)
-    talk.wait_for(1)
-    assert talk.times == pytest.approx([came_at + (SILENCE if unit < 3 else 0)])  # 3 owes nothing
-    talk.wait(0.01)
-    talk.come(value(6, unit=unit))
+    driver = used()
+    driver.come(value(7, unit=unit))
+    assert driver.statistics.late_answers == 1
+    came_at, batch = driver.now, driver.ask(6, unit=unit)
+    driver.wait_for(1)
+    assert driver.times == pytest.approx([came_at + (SILENCE if unit < 3 else 0)])  # 3 owes nothing
+    driver.wait(0.01)
+    driver.come(value(6, unit=unit))
     assert not batch.is_done
-    talk.wait(0.02)
+    driver.wait(0.02)
     assert batch.outcomes == [[6]]
 
 
 def test_asked_and_its_answer_is_the_result_at_once() -> None:
-    talk = used()
+    driver = used()
     for number in range(20, 40):
-        usual(talk, number)
+        usual(driver, number)
 
 
 def test_asked_in_doubt_and_its_answer_is_held() -> None:
-    talk = in_doubt()
-    hold(talk, talk.ask(6), 6)
+    driver = in_doubt()
+    hold(driver, driver.ask(6), 6)
 
 
-def repeating() -> Talk:
+def repeating() -> Driver:
     """Return a line whose unit 1 has answered one request twice, and then others."""
-    talk = used()
-    usual(talk, 1)
-    talk.come(value(1))
-    talk.wait(1)
-    hold(talk, talk.ask(2), 2)
+    driver = used()
+    usual(driver, 1)
+    driver.come(value(1))
+    driver.wait(1)
+    hold(driver, driver.ask(2), 2)
     for number in range(100, 120):
-        talk.wait(1)  # each time it takes twice as long until an answer is checked again
-        usual(talk, number)
-    return talk
+        driver.wait(1)  # each time it takes twice as long until an answer is checked again
+        usual(driver, number)
+    return driver
 
 
 def test_asked_and_an_answer_equal_to_the_last_one_to_another_is_held_where_one_came_twice():
-    for talk, is_held in ((used(), False), (repeating(), True)):
+    for driver, is_held in ((used(), False), (repeating(), True)):
         for number in range(20, 60):
-            usual(talk, number)
-        batch = talk.ask(1)
-        talk.wait(0.01)
-        talk.come(value(20))
+            usual(driver, number)
+        batch = driver.ask(1)
+        driver.wait(0.01)
+        driver.come(value(20))
         assert batch.is_done is not is_held
-        talk.wait(0.02)
+        driver.wait(0.02)
         assert batch.outcomes == [[20]]
         # Not if it is equal to the last one to the same request too, nor to one of another unit.
-        exchange(talk, 1, 20, after=0.01)
-        exchange(talk, 3, 27, unit=2, after=0.01)
+        exchange(driver, 1, 20, after=0.01)
+        exchange(driver, 3, 27, unit=2, after=0.01)
 
 
 def test_asked_and_a_write_of_another_value_to_the_same_cells_is_the_result_at_once() -> None:
     """Its answer contains no values; where answers came twice, too."""
-    talk = repeating()
+    driver = repeating()
     write = rtu("01 10 0007 0001")
     for number in (1, 2, 3):
-        batch = talk.ask(pdu.WriteRegisters(7, [number]))
-        talk.wait(0.01)
-        talk.come(write)
+        batch = driver.ask(pdu.WriteRegisters(7, [number]))
+        driver.wait(0.01)
+        driver.come(write)
         if number == 1:
-            talk.come(write)  # the second one, which nobody awaits
+            driver.come(write)  # the second one, which nobody awaits
         if number < 3:
-            talk.wait(1)
+            driver.wait(1)
     assert batch.outcomes == [None]
 
 
@@ -148,235 +148,235 @@ def test_asked_and_a_write_of_another_value_to_the_same_cells_is_the_result_at_o
 )
 def test_asked_and_an_answer_at_an_unusual_time_is_held(seconds: float, is_held: bool) -> None:
     """Too soon, as a copy that comes while the next request is in flight; or too late."""
-    talk = used()
-    batch = talk.ask(5)
-    talk.wait(seconds)
-    talk.come(value(5))
+    driver = used()
+    batch = driver.ask(5)
+    driver.wait(seconds)
+    driver.come(value(5))
     assert batch.is_done is not is_held
-    talk.wait(0.05)
+    driver.wait(0.05)
     assert batch.outcomes == [[5]]
 
 
 def test_asked_and_the_first_of_its_length_is_held_if_it_came_sooner_than_all_others() -> None:
     """A refusal, which may be that of the request before."""
     for seconds, is_held in ((0.007, True), (0.008, False)):
-        talk = used()
-        batch = talk.ask(5)
-        talk.wait(seconds)
-        talk.come(rtu("01 83 02"))
+        driver = used()
+        batch = driver.ask(5)
+        driver.wait(seconds)
+        driver.come(rtu("01 83 02"))
         assert batch.is_done is not is_held
 
 
 @pytest.mark.parametrize("data", [value(5)[:-1] + b"\0", rtu("01 03 04 0005 0006"), b""])
 def test_asked_and_a_failure_leads_to_doubt(data: bytes) -> None:
     """A damaged answer, one that does not fit, none."""
-    talk = used()
-    batch = talk.ask(5)
-    talk.come(data)
+    driver = used()
+    batch = driver.ask(5)
+    driver.come(data)
     while not batch.is_done:
-        talk.wait(0.001)
+        driver.wait(0.001)
     assert isinstance(batch.outcomes[0], ModbusError)
-    failed_at = talk.now
-    batch = talk.ask(6)
-    talk.wait_for(2)
-    assert talk.times[1] == pytest.approx(failed_at + SILENCE, abs=0.002)
-    hold(talk, batch, 6)
+    failed_at = driver.now
+    batch = driver.ask(6)
+    driver.wait_for(2)
+    assert driver.times[1] == pytest.approx(failed_at + SILENCE, abs=0.002)
+    hold(driver, batch, 6)
 
 
 def test_asked_and_a_caller_that_left_leads_to_doubt() -> None:
-    talk = used()
-    talk.cancel(talk.ask(5))
-    left_at = talk.now
-    batch = talk.ask(6)
-    talk.wait_for(2)
-    assert talk.times[1] == pytest.approx(left_at + SILENCE)
-    hold(talk, batch, 6)
+    driver = used()
+    driver.cancel(driver.ask(5))
+    left_at = driver.now
+    batch = driver.ask(6)
+    driver.wait_for(2)
+    assert driver.times[1] == pytest.approx(left_at + SILENCE)
+    hold(driver, batch, 6)
 
 
 @pytest.mark.parametrize("is_held", [False, True])
 @pytest.mark.parametrize("frame", [value(7, unit=2), rtu("01 04 02 0007")])
 def test_a_frame_of_another_does_not_end_the_wait(frame: bytes, is_held: bool) -> None:
-    talk = in_doubt() if is_held else used()
-    batch = talk.ask(5)
-    talk.wait(0.01)
+    driver = in_doubt() if is_held else used()
+    batch = driver.ask(5)
+    driver.wait(0.01)
     if is_held:
-        talk.come(value(5))
-    talk.come(frame)
+        driver.come(value(5))
+    driver.come(frame)
     assert not batch.is_done
     if not is_held:
-        talk.come(value(5))
-    talk.wait(0.02)
+        driver.come(value(5))
+    driver.wait(0.02)
     assert batch.outcomes == [[5]]
-    assert talk.statistics.late_answers == 1
+    assert driver.statistics.late_answers == 1
 
 
 def test_hold_and_the_same_answer_begins_again() -> None:
-    talk = in_doubt()
-    batch = talk.ask(6)
-    talk.wait(0.01)
+    driver = in_doubt()
+    batch = driver.ask(6)
+    driver.wait(0.01)
     for _ in range(4):
-        talk.come(value(6))
-        talk.wait(0.015)
+        driver.come(value(6))
+        driver.wait(0.015)
         assert not batch.is_done
-    talk.wait(0.006)
+    driver.wait(0.006)
     assert batch.outcomes == [[6]]
-    assert talk.statistics.late_answers == 3
+    assert driver.statistics.late_answers == 3
 
 
 @pytest.mark.parametrize("frame", [value(7), rtu("01 83 02"), value(7)[:-1] + b"\0"])
 def test_hold_and_another_frame_fails_the_request_and_leads_to_doubt(frame: bytes) -> None:
-    talk = in_doubt()
-    batch = talk.ask(6)
-    talk.wait(0.01)
-    talk.come(value(6))
-    talk.wait(0.01)
-    talk.come(frame)
-    failed_at = talk.now
-    talk.wait(0.1)
+    driver = in_doubt()
+    batch = driver.ask(6)
+    driver.wait(0.01)
+    driver.come(value(6))
+    driver.wait(0.01)
+    driver.come(frame)
+    failed_at = driver.now
+    driver.wait(0.1)
     assert isinstance(batch.outcomes[0], InvalidResponse | FrameError)
     assert batch.outcomes[0].received == value(6) + frame
-    talk.ask(8)
-    talk.wait_for(3)
-    assert talk.times[2] >= failed_at + SILENCE
-    talk.come(value(8))
-    assert talk.connection.in_flight
+    driver.ask(8)
+    driver.wait_for(3)
+    assert driver.times[2] >= failed_at + SILENCE
+    driver.come(value(8))
+    assert driver.connection.in_flight
 
 
 def test_hold_of_twice_the_slowest_answer_of_this_length_ends_the_doubt() -> None:
-    talk = used()
-    slow = talk.ask(pdu.ReadHoldingRegisters(5, 2))
-    talk.wait(0.4)
-    talk.come(rtu("01 03 04 0005 0006"))
-    talk.wait(0.6)
+    driver = used()
+    slow = driver.ask(pdu.ReadHoldingRegisters(5, 2))
+    driver.wait(0.4)
+    driver.come(rtu("01 03 04 0005 0006"))
+    driver.wait(0.6)
     assert slow.outcomes == [[5, 6]]
-    talk.wait(1)  # for a pause as long as twice the slowest tells nothing
-    talk.ask(5)
-    talk.wait(2)
-    hold(talk, talk.ask(6), 6)  # the slowest of this length took 10 ms
-    usual(talk, 7)
-    talk.ask(8)
-    talk.wait(2)
-    batch = talk.ask(pdu.ReadHoldingRegisters(9, 2))
-    talk.come(rtu("01 03 04 0009 000A"))
-    talk.wait(0.7)
+    driver.wait(1)  # for a pause as long as twice the slowest tells nothing
+    driver.ask(5)
+    driver.wait(2)
+    hold(driver, driver.ask(6), 6)  # the slowest of this length took 10 ms
+    usual(driver, 7)
+    driver.ask(8)
+    driver.wait(2)
+    batch = driver.ask(pdu.ReadHoldingRegisters(9, 2))
+    driver.come(rtu("01 03 04 0009 000A"))
+    driver.wait(0.7)
     assert not batch.is_done
-    talk.wait(0.11)
+    driver.wait(0.11)
     assert batch.outcomes == [[9, 10]]
 
 
 @pytest.mark.parametrize("is_own", [True, False])
 def test_hold_and_the_end_of_its_time(is_own: bool) -> None:
     """The answer took 0.6 s, and HOLD would last for 1.2 s."""
-    talk = Talk(LINE, timeout=1, retries=int(is_own))
-    batch = talk.ask(5)
-    talk.wait(2)
+    driver = Driver(LINE, timeout=1, retries=int(is_own))
+    batch = driver.ask(5)
+    driver.wait(2)
     if not is_own:
-        batch = talk.ask(6)
-    talk.wait(0.6)
-    talk.come(value(6))
-    talk.wait(0.39)
+        batch = driver.ask(6)
+    driver.wait(0.6)
+    driver.come(value(6))
+    driver.wait(0.39)
     assert not batch.is_done
-    talk.wait(0.01)
+    driver.wait(0.01)
     if is_own:
         assert batch.outcomes == [[6]]  # the answer to either of its frames
     else:
         assert kinds(batch) == [ModbusTimeoutError]
         assert "or an earlier one" in str(batch.outcomes[0])
-        failed_at = talk.now
-        talk.ask(7)
-        talk.wait_for(3)
-        assert talk.times[2] == pytest.approx(failed_at + 1)
-        talk.wait(0.6)
-        talk.come(value(7))
-    assert not talk.connection.in_flight  # the silence has ended the doubt
+        failed_at = driver.now
+        driver.ask(7)
+        driver.wait_for(3)
+        assert driver.times[2] == pytest.approx(failed_at + 1)
+        driver.wait(0.6)
+        driver.come(value(7))
+    assert not driver.connection.in_flight  # the silence has ended the doubt
 
 
 def test_hold_without_doubt_and_the_end_of_its_time() -> None:
-    talk = used()
-    batch = talk.ask(20)
-    talk.wait(0.9)
-    hold(talk, batch, 20, seconds=0.09)
+    driver = used()
+    batch = driver.ask(20)
+    driver.wait(0.9)
+    hold(driver, batch, 20, seconds=0.09)
 
 
 def test_doubt_and_a_frame_of_it_count_the_silence_anew() -> None:
-    talk = used()
-    unanswered(talk, 5)
-    talk.ask(6)
+    driver = used()
+    time_out(driver, 5)
+    driver.ask(6)
     for _ in range(2):
-        talk.wait(0.015)
-        talk.come(value(5))
-    heard_at = talk.now
-    talk.wait_for(2)
-    assert talk.times[1] == pytest.approx(heard_at + SILENCE)
-    assert talk.statistics.late_answers == 2
+        driver.wait(0.015)
+        driver.come(value(5))
+    heard_at = driver.now
+    driver.wait_for(2)
+    assert driver.times[1] == pytest.approx(heard_at + SILENCE)
+    assert driver.statistics.late_answers == 2
 
 
 @each_case("data", ["01 03", "01 83", "01", "FF 01 03 02", "09 03 02 00 01"])
 def test_doubt_and_the_beginning_of_an_answer_count_the_silence_anew(data: str) -> None:
-    talk = used()
-    unanswered(talk, 5)
-    talk.ask(6)
-    talk.wait(0.015)
-    talk.come(bytes.fromhex(data))
-    heard_at = talk.now
-    talk.wait_for(2)
-    assert talk.times[1] == pytest.approx(heard_at + SILENCE)
+    driver = used()
+    time_out(driver, 5)
+    driver.ask(6)
+    driver.wait(0.015)
+    driver.come(bytes.fromhex(data))
+    heard_at = driver.now
+    driver.wait_for(2)
+    assert driver.times[1] == pytest.approx(heard_at + SILENCE)
 
 
 @each_case("data", ["55", "FF FF FF", "02 03 02 00", "09 03 00 00 00 02", "01 04 02", "03"])
 def test_doubt_and_bytes_of_others_do_not_count_the_silence_anew(data: str) -> None:
-    talk = used()
-    unanswered(talk, 5)
-    silent_from = talk.now
-    talk.ask(6)
+    driver = used()
+    time_out(driver, 5)
+    silent_from = driver.now
+    driver.ask(6)
     for _ in range(2):
-        talk.wait(0.01)
-        talk.come(bytes.fromhex(data), value(7, unit=9))
-    talk.wait_for(2)
-    assert talk.times[1] == pytest.approx(silent_from + SILENCE)
+        driver.wait(0.01)
+        driver.come(bytes.fromhex(data), value(7, unit=9))
+    driver.wait_for(2)
+    assert driver.times[1] == pytest.approx(silent_from + SILENCE)
 
 
 def test_doubt_and_a_late_frame_of_its_unit_count_the_silence_anew() -> None:
     """The unit still works through earlier requests, which are of other functions, too."""
-    talk = used()
-    talk.ask(pdu.ReadInputRegisters(5, 1))
-    talk.wait(1)
-    talk.ask(5)
-    talk.wait(1)
-    silent_from = talk.now
-    talk.ask(6)
-    talk.wait(0.015)
-    talk.come(rtu("01 04 02 00 05"))
-    assert talk.now < silent_from + SILENCE
-    heard_at = talk.now
-    talk.wait_for(3)
-    assert talk.times[2] == pytest.approx(heard_at + SILENCE)
+    driver = used()
+    driver.ask(pdu.ReadInputRegisters(5, 1))
+    driver.wait(1)
+    driver.ask(5)
+    driver.wait(1)
+    silent_from = driver.now
+    driver.ask(6)
+    driver.wait(0.015)
+    driver.come(rtu("01 04 02 00 05"))
+    assert driver.now < silent_from + SILENCE
+    heard_at = driver.now
+    driver.wait_for(3)
+    assert driver.times[2] == pytest.approx(heard_at + SILENCE)
 
 
 def test_hold_and_a_late_frame_of_its_unit_begin_again() -> None:
-    talk = used()
-    talk.ask(pdu.ReadInputRegisters(5, 1))
-    talk.wait(1)
-    talk.ask(5)
-    talk.wait(2)
-    batch = talk.ask(6)
+    driver = used()
+    driver.ask(pdu.ReadInputRegisters(5, 1))
+    driver.wait(1)
+    driver.ask(5)
+    driver.wait(2)
+    batch = driver.ask(6)
     for frame in (value(6), *[rtu("01 04 02 00 05")] * 3):
-        talk.come(frame)
-        talk.wait(0.015)
+        driver.come(frame)
+        driver.wait(0.015)
         assert not batch.is_done
-    talk.wait(0.006)
+    driver.wait(0.006)
     assert batch.outcomes == [[6]]
 
 
 def test_an_answer_is_held_once_in_ten_timeouts() -> None:
     """Without a pause on the line: it could be shifted by one request, and nothing else tells."""
-    talk, count = used(), 0
+    driver, count = used(), 0
     for number in range(100, 2300):
-        batch = talk.ask(number)
-        talk.wait(0.01)
-        talk.come(value(number))
+        batch = driver.ask(number)
+        driver.wait(0.01)
+        driver.come(value(number))
         count += not batch.is_done
-        talk.wait(0 if batch.is_done else 0.02)
+        driver.wait(0 if batch.is_done else 0.02)
         assert batch.outcomes == [[number]]
     assert count == 2
 
@@ -386,99 +386,99 @@ def test_an_answer_is_held_once_in_ten_timeouts() -> None:
 ])  # fmt: skip
 def test_a_frame_exactly_at_the_end_of_hold(frame: bytes, is_first: bool) -> None:
     """HOLD lasts until its end: what is read before the alarm is in it, what is read later not."""
-    talk = in_doubt()
-    batch = talk.ask(6)
-    talk.come(value(6))
-    talk.now += 0.02
+    driver = in_doubt()
+    batch = driver.ask(6)
+    driver.come(value(6))
+    driver.now += 0.02
     if is_first:
-        talk.come(frame)
+        driver.come(frame)
         assert batch.is_done == (frame != value(6))
-    talk.wait(0.02)
+    driver.wait(0.02)
     if not is_first:
         assert batch.outcomes == [[6]]
-        talk.come(frame)
+        driver.come(frame)
     assert kinds(batch) == ([[6]] if frame == value(6) or not is_first else [InvalidResponse])
-    assert talk.statistics.late_answers == 1
-    assert talk.is_at_rest
+    assert driver.statistics.late_answers == 1
+    assert driver.is_at_rest
 
 
 def test_doubt_goes_on_over_another_connection() -> None:
     """The unit is behind the server: its late answer may come over the next connection, too."""
-    talk = used()
-    first = talk.ask(5)
-    talk.wait(0.3)
-    talk.reconnect(by_itself=False)
+    driver = used()
+    first = driver.ask(5)
+    driver.wait(0.3)
+    driver.reconnect(by_itself=False)
     assert kinds(first) == [ModbusConnectionError]
-    lost_at, batch = talk.now, talk.ask(6)
-    talk.wait(0.015)
-    talk.come(value(5))
-    talk.wait(0.015)
-    assert len(talk.sent) == 1
-    talk.wait_for(2)
-    assert talk.times[1] == pytest.approx(lost_at + 0.015 + SILENCE)
-    hold(talk, batch, 6)
+    lost_at, batch = driver.now, driver.ask(6)
+    driver.wait(0.015)
+    driver.come(value(5))
+    driver.wait(0.015)
+    assert len(driver.sent) == 1
+    driver.wait_for(2)
+    assert driver.times[1] == pytest.approx(lost_at + 0.015 + SILENCE)
+    hold(driver, batch, 6)
 
 
 def test_a_connection_that_ends_in_hold_fails_what_is_held() -> None:
-    talk = in_doubt()
-    batch = talk.ask(6)
-    talk.come(value(6))
-    talk.reconnect()
+    driver = in_doubt()
+    batch = driver.ask(6)
+    driver.come(value(6))
+    driver.reconnect()
     assert kinds(batch) == [ModbusConnectionError]
-    talk.come(value(6))
-    talk.wait(5)
+    driver.come(value(6))
+    driver.wait(5)
     assert kinds(batch) == [ModbusConnectionError]
-    assert talk.is_at_rest
+    assert driver.is_at_rest
 
 
 def test_a_caller_that_leaves_in_hold_leaves_doubt() -> None:
-    talk = in_doubt()
-    batch = talk.ask(6)
-    talk.come(value(6))
-    talk.cancel(batch)
-    left_at, other = talk.now, talk.ask(8)
-    talk.wait_for(3)
-    assert talk.times[2] == pytest.approx(left_at + SILENCE)
-    hold(talk, other, 8)
+    driver = in_doubt()
+    batch = driver.ask(6)
+    driver.come(value(6))
+    driver.cancel(batch)
+    left_at, other = driver.now, driver.ask(8)
+    driver.wait_for(3)
+    assert driver.times[2] == pytest.approx(left_at + SILENCE)
+    hold(driver, other, 8)
 
 
 @each_case("timeout", [0.001, 0.5, 86_400])
 def test_a_timeout_that_is_changed_ends_each_wait(timeout: float) -> None:
     """In DOUBT, ASKED and HOLD; none of them becomes endless."""
-    talk = used()
-    talk.ask(5)
-    talk.wait(1)
-    batches = [talk.ask(6), talk.ask(7)]
-    talk.timeouts.timeout = timeout
-    talk.matching.wake(talk.now)
-    talk.wait_for(2)
-    talk.come(value(6))
-    talk.wait(max(3, 5 * timeout))
-    talk.come(value(7))
-    talk.wait(max(3, 5 * timeout))
+    driver = used()
+    driver.ask(5)
+    driver.wait(1)
+    batches = [driver.ask(6), driver.ask(7)]
+    driver.timeouts.timeout = timeout
+    driver.matching.wake(driver.now)
+    driver.wait_for(2)
+    driver.come(value(6))
+    driver.wait(max(3, 5 * timeout))
+    driver.come(value(7))
+    driver.wait(max(3, 5 * timeout))
     assert all(batch.is_done for batch in batches)
-    assert talk.is_at_rest
+    assert driver.is_at_rest
 
 
 @each_case("url", [LINE, TCP])
 def test_a_clock_that_stands_still_makes_no_wait_endless(url: str) -> None:
     """Requests, answers and frames that nobody awaits, all at one moment."""
-    talk = Talk(url, timeout=1)
+    driver = Driver(url, timeout=1)
     for number in range(50):
-        exchange(talk, number)
-        talk.wait(0)
-    talk.come(answer(talk, 0), answer(talk, 0))
-    batch = talk.ask(3)
-    talk.wait(0)
-    talk.come(answer(talk))
-    talk.wait(0)
+        exchange(driver, number)
+        driver.wait(0)
+    driver.come(answer(driver, 0), answer(driver, 0))
+    batch = driver.ask(3)
+    driver.wait(0)
+    driver.come(answer(driver))
+    driver.wait(0)
     assert batch.outcomes == [[3]]
 
 
 @each_case(("data", "late"), [(b"", 0), (value(1), 1), (value(1) + value(1), 2)])
 def test_answers_beside_the_first_are_counted(data: bytes, late: int) -> None:
-    talk = Talk(LINE, timeout=1)
-    batch = talk.ask(1)
-    talk.come(value(1) + data)
+    driver = Driver(LINE, timeout=1)
+    batch = driver.ask(1)
+    driver.come(value(1) + data)
     assert batch.outcomes == [[1]]
-    assert talk.statistics.late_answers == late
+    assert driver.statistics.late_answers == late

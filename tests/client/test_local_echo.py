@@ -8,9 +8,9 @@ import pytest
 from libmodbus_py import IllegalDataAddress, InvalidResponse, ModbusError, ModbusTimeoutError, pdu
 from tests.support.cases import each_case
 from tests.support.clients import World, read
+from tests.support.driver import ASCII, LINE, Driver, ascii_frame, kinds, rtu, value
 from tests.support.peers import OnRequest, Write, answer
 from tests.support.replies import exchange
-from tests.support.talk import ASCII, LINE, Talk, ascii_frame, kinds, rtu, value
 
 # A request that is a possible answer: 3 bytes of coils.
 COILS = pdu.ReadCoils(0x0311, 24)
@@ -37,17 +37,17 @@ def rtu_of(request: pdu.Request[Any]) -> bytes:
     return rtu((b"\x01" + request.encode()).hex())
 
 
-def confirmed_by_itself(talk: Talk) -> None:
+def confirmed_by_itself(driver: Driver) -> None:
     """Check that a write is confirmed by the frame of its request."""
-    batch = talk.ask(WRITE)
-    talk.come(talk.sent[-1])
+    batch = driver.ask(WRITE)
+    driver.come(driver.sent[-1])
     assert batch.outcomes == [None]
 
 
-def taken_for_a_value(talk: Talk) -> None:
+def taken_for_a_value(driver: Driver) -> None:
     """Check that an answer which is equal to its request is its result."""
-    batch = talk.ask(COILS)
-    talk.come(talk.sent[-1])
+    batch = driver.ask(COILS)
+    driver.come(driver.sent[-1])
     assert len(batch.outcomes[0]) == 24
 
 
@@ -80,19 +80,19 @@ def test_no_echo_is_the_value_of_a_read(world: World, setting: str) -> None:
 
 def test_the_first_answer_that_is_equal_to_its_request_is_none() -> None:
     for request in (COILS, BOTH):
-        talk = Talk(LINE, timeout=1)
-        batch = talk.ask(request)
-        talk.come(rtu_of(request))
+        driver = Driver(LINE, timeout=1)
+        batch = driver.ask(request)
+        driver.come(rtu_of(request))
         assert not batch.is_done
-        talk.wait(1)
+        driver.wait(1)
         assert kinds(batch) == [InvalidResponse]
         assert "echo=True or False" in str(batch.outcomes[0])
 
 
 def test_a_value_that_is_equal_to_its_request_is_taken_where_no_echo_is() -> None:
-    talk = Talk(LINE, timeout=1)
-    exchange(talk, 1)
-    taken_for_a_value(talk)
+    driver = Driver(LINE, timeout=1)
+    exchange(driver, 1)
+    taken_for_a_value(driver)
 
 
 SEVERAL = [
@@ -108,13 +108,13 @@ TELLING = [
 @each_case(("request_", "body", "result"), TELLING)
 @each_case("url", [LINE, ASCII])
 def test_frames_that_can_be_no_answer_tell_of_an_echo(request_, body, result, url) -> None:
-    talk = Talk(url, timeout=1)
-    batch = talk.ask(request_)
-    talk.come(talk.sent[-1])
-    talk.wait(0.1)
+    driver = Driver(url, timeout=1)
+    batch = driver.ask(request_)
+    driver.come(driver.sent[-1])
+    driver.wait(0.1)
     assert not batch.is_done
-    assert talk.statistics.echoes == 1
-    talk.come(rtu(body) if url == LINE else ascii_frame(body))
+    assert driver.statistics.echoes == 1
+    driver.come(rtu(body) if url == LINE else ascii_frame(body))
     assert batch.outcomes == [result]
 
 
@@ -123,118 +123,118 @@ def test_frames_that_can_be_no_answer_tell_of_an_echo(request_, body, result, ur
 def test_a_write_of_several_cells_that_comes_back_shows_no_echo(request_, body, result, url):
     """Some devices answer functions 15 and 16 with the whole request."""
     make = rtu if url == LINE else ascii_frame
-    talk = Talk(url, timeout=1)
-    batch = talk.ask(request_)
-    talk.come(talk.sent[-1])
-    talk.wait(0.1)
+    driver = Driver(url, timeout=1)
+    batch = driver.ask(request_)
+    driver.come(driver.sent[-1])
+    driver.wait(0.1)
     assert not batch.is_done
-    talk.come(make(body))
-    talk.wait(0.05)  # the end of the request may be the beginning of another frame
+    driver.come(make(body))
+    driver.wait(0.05)  # the end of the request may be the beginning of another frame
     assert batch.outcomes == [result]
-    talk.ask(request_)
-    talk.come(talk.sent[-1])
-    talk.wait(1)
-    batch = talk.ask(WRITE)
-    talk.come(make("01 06 0001 0002"))
+    driver.ask(request_)
+    driver.come(driver.sent[-1])
+    driver.wait(1)
+    batch = driver.ask(WRITE)
+    driver.come(make("01 06 0001 0002"))
     assert batch.outcomes == [None]
-    assert talk.statistics.echoes == 0
+    assert driver.statistics.echoes == 0
 
 
 @each_case("request_", [WRITE, pdu.WriteCoil(1, True), pdu.Diagnostics(0, b"\1\2")])
 def test_a_frame_that_may_be_its_own_answer_tells_nothing(request_: Any) -> None:
-    talk = Talk(LINE, timeout=1)
+    driver = Driver(LINE, timeout=1)
     for _ in range(2):
-        batch = talk.ask(request_)
-        talk.come(talk.sent[-1])
-        talk.wait(0.1)
+        batch = driver.ask(request_)
+        driver.come(driver.sent[-1])
+        driver.wait(0.1)
         assert batch.is_done
         assert not isinstance(batch.outcomes[0], Exception)
-    assert talk.statistics.echoes == 0
+    assert driver.statistics.echoes == 0
 
 
 @each_case("url", [LINE, "rtu+tcp://192.0.2.1", ASCII])
 def test_an_echo_is_found_out_behind_requests_of_which_nothing_came(url: str) -> None:
     """The converter had no power, or the line was open."""
     make = ascii_frame if url == ASCII else rtu
-    talk = Talk(url, timeout=1)
+    driver = Driver(url, timeout=1)
     for number in (1, 2):
-        talk.ask(number)
-        talk.wait(2)
-    batch = talk.ask(3)
-    talk.come(talk.sent[-1] + make("01 03 02 0003"))
-    talk.wait(0.5)
+        driver.ask(number)
+        driver.wait(2)
+    batch = driver.ask(3)
+    driver.come(driver.sent[-1] + make("01 03 02 0003"))
+    driver.wait(0.5)
     assert batch.outcomes == [[3]]
-    assert talk.statistics.echoes == 1
+    assert driver.statistics.echoes == 1
 
 
 def test_a_read_that_comes_back_is_no_answer_where_no_echo_is() -> None:
     """Once; and it shows no time in which the unit answers."""
-    talk = Talk(LINE, timeout=1)
-    exchange(talk, 1, after=0.1)
-    batch = talk.ask(2)
-    talk.come(talk.sent[-1])
-    talk.wait(0.05)
+    driver = Driver(LINE, timeout=1)
+    exchange(driver, 1, after=0.1)
+    batch = driver.ask(2)
+    driver.come(driver.sent[-1])
+    driver.wait(0.05)
     assert not batch.is_done
-    talk.wait(0.05)
-    talk.come(value(2))
+    driver.wait(0.05)
+    driver.come(value(2))
     assert batch.outcomes == [[2]]
 
 
-def echoing(url: str = LINE) -> Talk:
-    """Return a talk that knows of an echo, from a read."""
-    talk = Talk(url, timeout=1)
-    talk.ask(5)
-    talk.come(talk.sent[-1] + value(5))
-    assert talk.statistics.echoes == 1
-    return talk
+def echoing(url: str = LINE) -> Driver:
+    """Return a driver that knows of an echo, from a read."""
+    driver = Driver(url, timeout=1)
+    driver.ask(5)
+    driver.come(driver.sent[-1] + value(5))
+    assert driver.statistics.echoes == 1
+    return driver
 
 
 def test_an_echo_that_ends_is_noticed() -> None:
-    talk = echoing()
+    driver = echoing()
     for number in range(5):
-        exchange(talk, number)
-    confirmed_by_itself(talk)
+        exchange(driver, number)
+    confirmed_by_itself(driver)
 
 
 def test_a_new_connection_may_be_without_an_echo() -> None:
-    talk = echoing("rtu+tcp://192.0.2.1")
-    talk.reconnect()
-    confirmed_by_itself(talk)
+    driver = echoing("rtu+tcp://192.0.2.1")
+    driver.reconnect()
+    confirmed_by_itself(driver)
 
 
 def test_half_an_echo_is_not_taken_over_to_a_new_connection() -> None:
-    talk = echoing("rtu+tcp://192.0.2.1")
-    talk.ask(6)
-    talk.come(talk.sent[-1][:5])
-    talk.reconnect()
-    batch = talk.ask(7)
-    talk.wait_for(3)  # until the answer that the unit owes would be over
-    talk.come(value(7)[:4])
-    talk.wait(0.1)
-    talk.come(value(7)[4:])
-    talk.wait(0.2)
+    driver = echoing("rtu+tcp://192.0.2.1")
+    driver.ask(6)
+    driver.come(driver.sent[-1][:5])
+    driver.reconnect()
+    batch = driver.ask(7)
+    driver.wait_for(3)  # until the answer that the unit owes would be over
+    driver.come(value(7)[:4])
+    driver.wait(0.1)
+    driver.come(value(7)[4:])
+    driver.wait(0.2)
     assert batch.outcomes == [[7]]
 
 
-def known(is_set: bool) -> Talk:
-    return Talk(f"{LINE}&echo=1", timeout=1) if is_set else echoing()
+def known(is_set: bool) -> Driver:
+    return Driver(f"{LINE}&echo=1", timeout=1) if is_set else echoing()
 
 
 @each_case("stray", STRAYS)
 @each_case("is_set", [False, True])
 def test_the_echo_of_a_write_does_not_confirm_it(stray: bytes, is_set: bool) -> None:
     """With `echo=1` this holds from the first frame: the unit may be dead, or refuse the write."""
-    talk = known(is_set)
-    batch = talk.ask(WRITE)
-    talk.come(stray + talk.sent[-1])
-    talk.wait(0.01)
+    driver = known(is_set)
+    batch = driver.ask(WRITE)
+    driver.come(stray + driver.sent[-1])
+    driver.wait(0.01)
     assert not batch.is_done
-    talk.come(rtu("01 86 02"))
-    talk.wait(0.1)
+    driver.come(rtu("01 86 02"))
+    driver.wait(0.1)
     assert kinds(batch) == [IllegalDataAddress]
-    batch = talk.ask(WRITE)
-    talk.come(stray + talk.sent[-1])
-    talk.wait(1)
+    batch = driver.ask(WRITE)
+    driver.come(stray + driver.sent[-1])
+    driver.wait(1)
     assert isinstance(batch.outcomes[0], ModbusTimeoutError)
 
 
@@ -242,54 +242,54 @@ def test_the_echo_of_a_write_does_not_confirm_it(stray: bytes, is_set: bool) -> 
 @each_case("pause", [None, 0.01])
 @each_case("is_set", [False, True])
 def test_a_write_is_confirmed_by_what_follows_its_echo(stray, pause, is_set) -> None:
-    talk = known(is_set)
+    driver = known(is_set)
     for _ in range(2):
-        batch = talk.ask(WRITE)
-        echo = stray + talk.sent[-1]
+        batch = driver.ask(WRITE)
+        echo = stray + driver.sent[-1]
         if pause is None:
-            talk.come(echo + talk.sent[-1])
+            driver.come(echo + driver.sent[-1])
         else:
-            talk.come(echo)
-            talk.wait(pause)
+            driver.come(echo)
+            driver.wait(pause)
             assert not batch.is_done
-            talk.come(talk.sent[-1])
-        talk.wait(0.1)
+            driver.come(driver.sent[-1])
+        driver.wait(0.1)
         assert batch.outcomes == [None]
-    assert talk.statistics.late_answers == 0
-    assert talk.is_at_rest
+    assert driver.statistics.late_answers == 0
+    assert driver.is_at_rest
 
 
 @each_case("is_set", [False, True])
 def test_an_echo_in_pieces(is_set: bool) -> None:
-    talk = known(is_set)
+    driver = known(is_set)
     for number in range(5):
-        batch = talk.ask(number)
-        data = talk.sent[-1] + value(number)
+        batch = driver.ask(number)
+        data = driver.sent[-1] + value(number)
         for at in range(len(data)):
-            talk.come(data[at : at + 1])
-            talk.wait(0.001)
+            driver.come(data[at : at + 1])
+            driver.wait(0.001)
         assert batch.outcomes == [[number]]
 
 
 @each_case("is_set", [False, True])
 def test_an_answer_behind_the_echo_of_a_request_that_is_a_possible_answer(is_set: bool) -> None:
-    talk = known(is_set)
+    driver = known(is_set)
     bits = [True] + [False] * 23
     for _ in range(2):
-        batch = talk.ask(COILS)
-        talk.come(talk.sent[-1], rtu("01 01 03 010000"))
+        batch = driver.ask(COILS)
+        driver.come(driver.sent[-1], rtu("01 01 03 010000"))
         assert batch.outcomes == [bits]
 
 
 def test_an_echo_behind_much_noise_does_not_confirm_a_write() -> None:
-    talk = Talk(f"{LINE}&echo=1", timeout=1)
+    driver = Driver(f"{LINE}&echo=1", timeout=1)
     for noise in (b"\xff" * 9, b"\xff" * 300):
-        batch = talk.ask(WRITE)
-        talk.come(noise + talk.sent[-1])
-        talk.wait(0.1)
+        batch = driver.ask(WRITE)
+        driver.come(noise + driver.sent[-1])
+        driver.wait(0.1)
         assert not batch.is_done
-        talk.come(rtu("01 86 02"))
-        talk.wait(0.1)
+        driver.come(rtu("01 86 02"))
+        driver.wait(0.1)
         assert kinds(batch) == [IllegalDataAddress]
 
 
@@ -309,12 +309,12 @@ def test_with_the_option_nothing_is_learned(world: World, scheme: str) -> None:
 
 
 def test_without_an_echo_that_is_set_a_write_that_comes_back_is_confirmed() -> None:
-    talk = Talk(f"{LINE}&echo=0", timeout=1)
+    driver = Driver(f"{LINE}&echo=0", timeout=1)
     for number in (1, 2):
-        batch = talk.ask(number)
-        talk.come(talk.sent[-1], value(number))
-        talk.wait(0.1)
+        batch = driver.ask(number)
+        driver.come(driver.sent[-1], value(number))
+        driver.wait(0.1)
         assert batch.outcomes == [[number]]  # what comes back is noise
-    confirmed_by_itself(talk)
-    taken_for_a_value(talk)
-    assert talk.statistics.echoes == 0
+    confirmed_by_itself(driver)
+    taken_for_a_value(driver)
+    assert driver.statistics.echoes == 0

@@ -6,9 +6,9 @@ import pytest
 
 from libmodbus_py import InvalidResponse, ModbusConnectionError, ModbusTimeoutError, State, pdu
 from tests.support.clients import World, read
+from tests.support.driver import rtu
 from tests.support.peers import Write, answer, ignore, mbap
-from tests.support.reads import good, good_at
-from tests.support.talk import rtu
+from tests.support.reads import on_read, on_read_at
 
 LINES = ["rtu", "rtu+tcp", "ascii", "ascii+tcp"]
 
@@ -16,7 +16,7 @@ LINES = ["rtu", "rtu+tcp", "ascii", "ascii+tcp"]
 @pytest.mark.parametrize("scheme", LINES)
 def test_unit_0_answers_reads_and_writes_if_it_is_no_broadcast(world: World, scheme: str) -> None:
     """pymodbus#2378: the only device of a line answers as unit 0, to tell its address."""
-    peer = world.peer(scheme, good_at(scheme))
+    peer = world.peer(scheme, on_read_at(scheme))
     with world.connect(peer.url, unit=0, broadcast=False, timeout=0.5) as plc:
         assert read(plc, 7) == 7
         assert plc.read_many({"it": ("holding_registers", 7)}) == {"it": [7]}
@@ -27,7 +27,7 @@ def test_unit_0_answers_reads_and_writes_if_it_is_no_broadcast(world: World, sch
 
 @pytest.mark.parametrize("scheme", LINES)
 def test_a_raw_request_to_unit_0_waits_for_its_answer(world: World, scheme: str) -> None:
-    with world.client_of(scheme, good_at(scheme), unit=0) as plc:
+    with world.client_of(scheme, on_read_at(scheme), unit=0) as plc:
         assert plc.execute(pdu.RawRequest(3, b"\0\7\0\1")) == b"\2\0\7"
         with pytest.raises(ValueError, match="is not a write; broadcast=False, if a device answe"):
             read(plc, 7)
@@ -103,13 +103,13 @@ def test_a_device_that_closes_after_each_answer_is_read_without_retries(world: W
 
 
 def test_a_read_is_sent_once_more_within_its_time(world: World) -> None:
-    peer = world.peer("tcp", good)
+    peer = world.peer("tcp", on_read)
     with world.connect(peer.url, timeout=1) as plc:
         assert read(plc, 1) == 1
         peer.on_request = lambda request, write: write(None, after=0.4)
         with world.lasting(0.8), pytest.raises(ModbusConnectionError, match="closed by the other"):
             read(plc, 2)
-        peer.on_request = good
+        peer.on_request = on_read
         assert read(plc, 3) == 3
 
         def close(request: bytes, write: Write) -> None:
@@ -124,7 +124,7 @@ def test_a_read_is_sent_once_more_within_its_time(world: World) -> None:
 
 @pytest.mark.parametrize("case", ["a write", "no answer before", "half an answer"])
 def test_requests_that_may_have_been_executed_are_not_repeated(world: World, case: str) -> None:
-    peer = world.peer("tcp", good)
+    peer = world.peer("tcp", on_read)
 
     def close(request: bytes, write: Write) -> None:
         if case == "half an answer":
@@ -143,7 +143,7 @@ def test_requests_that_may_have_been_executed_are_not_repeated(world: World, cas
 
 def test_an_idle_connection_is_closed_and_made_again(world: World) -> None:
     states: list[tuple[State, Any]] = []
-    peer = world.peer("tcp", good)
+    peer = world.peer("tcp", on_read)
     with world.connect(peer.url, idle_close=2, on_state=lambda *state: states.append(state)) as plc:
         for pause, connections in ((1.9, 1), (1.9, 1), (2.1, 1), (0.5, 2), (9.0, 2), (0.0, 3)):
             assert read(plc, 7) == 7
@@ -154,7 +154,7 @@ def test_an_idle_connection_is_closed_and_made_again(world: World) -> None:
 
 
 def test_watch_closes_an_idle_connection_between_its_polls(world: World) -> None:
-    peer = world.peer("tcp", good)
+    peer = world.peer("tcp", on_read)
     times: list[float] = []
 
     def note(state: State, error: Any) -> None:
@@ -206,7 +206,7 @@ def test_heartbeats_between_answers_are_dropped(world: World, scheme, heartbeat)
 
 @pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp"])
 def test_silence_lasts_from_an_answer_to_the_next_request(world: World, scheme: str) -> None:
-    peer = world.peer(scheme, good_at(scheme, 0.3))
+    peer = world.peer(scheme, on_read_at(scheme, 0.3))
     with world.connect(f"{peer.url}?silence=0.2") as plc:
         for at in range(6):
             assert read(plc, at) == at

@@ -24,7 +24,7 @@ from libmodbus_py.protocol.mistakes import SERIAL_SETTINGS
 from tests.support.cases import each_case
 from tests.support.clients import World
 from tests.support.golden import Refused
-from tests.support.reads import good
+from tests.support.reads import on_read
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 
@@ -75,7 +75,7 @@ VALUES = [
     ],
 )
 def test_nothing_is_sent_for_bad_arguments(world: World, ask: Any, message: str) -> None:
-    peer = world.peer("tcp", good)
+    peer = world.peer("tcp", on_read)
     with world.connect(peer.url) as plc:
         with pytest.raises((ValueError, TypeError), match=message):
             ask(plc)

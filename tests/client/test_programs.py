@@ -8,7 +8,7 @@ import pytest
 from libmodbus_py import Client, Device, Mapping, Server
 from tests.support.clients import ALL
 from tests.support.peers import LinePeer, peer_at
-from tests.support.reads import good_at
+from tests.support.reads import on_read_at
 
 # Each is a program of its own, so that no thread of pytest is forked.
 pytestmark = pytest.mark.slow
@@ -251,7 +251,7 @@ print("ok")
 @ALL
 @pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu"])
 def test_no_descriptor_left_is_a_connection_error_that_passes(scheme: str, kind: str) -> None:
-    with peer_at(scheme, good_at(scheme)) as peer:
+    with peer_at(scheme, on_read_at(scheme)) as peer:
         process = ended("-c", PROGRAM, peer.url, kind)
     assert process.stdout == "ok\n", process.stderr
 
@@ -293,7 +293,7 @@ def test_a_program_that_ends_with_open_clients_ends_quietly(warn: bool, how: str
 
 def test_a_port_is_opened_that_a_killed_program_left_as_it_was() -> None:
     """Its settings are those that are to be set, and a pseudo-terminal refuses one of them."""
-    with LinePeer(good_at("rtu")) as unit:
+    with LinePeer(on_read_at("rtu")) as unit:
         program = (
             "import os, sys, libmodbus_py as m\n"
             "context = m.Client(sys.argv[1], baudrate=115200)\n"

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from libmodbus_py import ModbusError, pdu
 from libmodbus_py.client.call import NOT_ASKED, Batch
+from tests.support.driver import LINE, TCP, Driver, tcp, value
 from tests.support.replies import answer, refusal
-from tests.support.talk import LINE, TCP, Talk, tcp, value
 
 ASKING = ["ask", "ask", "many", "cancel", "broadcast"]
 
@@ -30,7 +30,7 @@ def test_no_schedule_gives_a_wrong_value_leaves_anybody_waiting_or_leaks_a_slot(
     url: str, events: list[tuple[str, int]], retries: int, spacing: float
 ) -> None:
     """On a line no answer comes later than two timeouts after its request: who may wait so long?"""
-    talk = Talk(url, timeout=1, retries=retries, busy_retries=1, request_spacing=spacing)
+    driver = Driver(url, timeout=1, retries=retries, busy_retries=1, request_spacing=spacing)
     batches: list[tuple[Batch, list[int]]] = []
     number = 0
     for event, choice in events:
@@ -38,75 +38,75 @@ def test_no_schedule_gives_a_wrong_value_leaves_anybody_waiting_or_leaks_a_slot(
             count = 1 if event == "ask" else choice % 5
             numbers = list(range(number, number + count))
             number += count
-            batch = talk.ask(
+            batch = driver.ask(
                 *numbers, unit=choice % 2 + 1, one_by_one=choice % 2 == 0, go_on=choice > 127
             )
             batches.append((batch, numbers))
         elif event == "cancel" and batches:
-            talk.cancel(batches[choice % len(batches)][0])
+            driver.cancel(batches[choice % len(batches)][0])
         elif event == "broadcast":
             if "rtu" in url:
-                talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
+                driver.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
         elif event == "lose":
-            talk.reconnect()
+            driver.reconnect()
         elif event.endswith("wait"):
-            talk.wait(choice / 100 if event == "wait" else 4)
-        elif talk.sent:
-            happen(talk, event, choice)
-        if talk.connection.broken is not None:
-            talk.replace_broken()
-    settle_down(talk)
+            driver.wait(choice / 100 if event == "wait" else 4)
+        elif driver.sent:
+            happen(driver, event, choice)
+        if driver.connection.broken is not None:
+            driver.replace_broken()
+    settle_down(driver)
     for batch, numbers in batches:
         assert batch.is_done
         for value_, outcome in zip(numbers, batch.outcomes, strict=True):
             is_none = outcome is NOT_ASKED or isinstance(outcome, ModbusError)
             assert is_none or outcome == [value_]
-    assert talk.is_at_rest
-    talk.life.prove()  # who has lost three connections in a row may be refused
-    count = len(talk.sent)
-    last = talk.ask(77, unit=3, timeout=10)
-    if talk.connection.broken is not None:
-        talk.replace_broken()
-    talk.wait_for(count + 1)
-    talk.come(answer(talk))
-    talk.wait(1)
+    assert driver.is_at_rest
+    driver.life.prove()  # who has lost three connections in a row may be refused
+    count = len(driver.sent)
+    last = driver.ask(77, unit=3, timeout=10)
+    if driver.connection.broken is not None:
+        driver.replace_broken()
+    driver.wait_for(count + 1)
+    driver.come(answer(driver))
+    driver.wait(1)
     assert last.outcomes == [[77]]
 
 
-def happen(talk: Talk, event: str, choice: int) -> None:
+def happen(driver: Driver, event: str, choice: int) -> None:
     """Something comes in, whole or in pieces."""
-    is_line = not talk.has_ids
+    is_line = not driver.has_ids
     # On a line only the last request can be answered at the right time.
-    at = -1 if is_line else -1 - choice % min(8, len(talk.sent))
-    if is_line and talk.sent[-1][0] == 0:
+    at = -1 if is_line else -1 - choice % min(8, len(driver.sent))
+    if is_line and driver.sent[-1][0] == 0:
         return
     data = {
-        "answer": lambda: answer(talk, at),
-        "late": lambda: answer(talk, at),
-        "refuse": lambda: refusal(talk, 2, at),
-        "busy": lambda: refusal(talk, 6, at),
-        "noise": lambda: bytes([choice]) if is_line else tcp(talk.sent[at], protocol=7),
-        "foreign": lambda: value(9, unit=9) if is_line else tcp(talk.sent[at], number=0xFFFF),
-        "half": lambda: answer(talk, at)[: choice % 7 + 1],
+        "answer": lambda: answer(driver, at),
+        "late": lambda: answer(driver, at),
+        "refuse": lambda: refusal(driver, 2, at),
+        "busy": lambda: refusal(driver, 6, at),
+        "noise": lambda: bytes([choice]) if is_line else tcp(driver.sent[at], protocol=7),
+        "foreign": lambda: value(9, unit=9) if is_line else tcp(driver.sent[at], number=0xFFFF),
+        "half": lambda: answer(driver, at)[: choice % 7 + 1],
     }[event]()
     cut = choice % len(data)
-    pieces = [data] if talk.is_udp else [data[:cut], data[cut:]]
+    pieces = [data] if driver.is_udp else [data[:cut], data[cut:]]
     pieces = [each for each in pieces if each]  # no port reads nothing
     if (
         is_line
         and event in ("answer", "late", "refuse", "busy")
-        and talk.now - talk.times[-1] > 1.99
+        and driver.now - driver.times[-1] > 1.99
     ):
         return  # later than anybody can know
-    talk.come(*pieces)
+    driver.come(*pieces)
 
 
-def settle_down(talk: Talk) -> None:
+def settle_down(driver: Driver) -> None:
     """Nobody answers any more: every deadline passes, over as many connections as it takes."""
     for _ in range(2000):
-        if talk.is_at_rest:
+        if driver.is_at_rest:
             return
-        talk.wait(1)
-        if talk.connection.broken is not None:
-            talk.replace_broken()
+        driver.wait(1)
+        if driver.connection.broken is not None:
+            driver.replace_broken()
     raise AssertionError("somebody waits for ever")

@@ -22,10 +22,10 @@ from libmodbus_py.ports.trace import Traced
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.scripted import Scripted
 from tests.support.clients import World
+from tests.support.driver import Driver
 from tests.support.in_loops import run_client, run_peer
 from tests.support.peers import Write, answering, echo, ignore, mbap
-from tests.support.reads import good, good_at
-from tests.support.talk import Talk
+from tests.support.reads import on_read, on_read_at
 
 READ = pdu.ReadHoldingRegisters(7, 1)
 
@@ -139,7 +139,7 @@ def test_without_permission_a_client_neither_connects_nor_sends() -> None:
         await plc.close()
         assert len(peer.requests) == 2
 
-    run_peer(good, main)
+    run_peer(on_read, main)
 
 
 @pytest.mark.parametrize(
@@ -157,16 +157,16 @@ def test_waiting_requests_are_refused_once_permission_ends(options: Any, count: 
         assert len(peer.requests) == count
         assert sum(map(refused, outcomes)) == 3 - count
 
-    run_client(good_at("tcp", after=0.1), use, may_send=gate, **options)
+    run_client(on_read_at("tcp", after=0.1), use, may_send=gate, **options)
 
 
 def test_false_is_no_mistake_and_all_but_true_and_false_is(caplog) -> None:
     for permission in (False, True):
-        talk = Talk(may_send=lambda permission=permission: permission)
-        assert talk.ask(1).is_done is not permission
+        driver = Driver(may_send=lambda permission=permission: permission)
+        assert driver.ask(1).is_done is not permission
         assert caplog.records == []
     for mistake in (lambda: 1, lambda: 0, lambda: None, lambda: "yes", lambda: 1 / 0 > 0):
-        (outcome,) = Talk(may_send=mistake).ask(1).outcomes
+        (outcome,) = Driver(may_send=mistake).ask(1).outcomes
         assert refused(outcome)
         assert "may_send" in str(outcome)
         assert caplog.records
@@ -211,7 +211,7 @@ def test_unsent_frames_are_not_traced(world: World, monkeypatch) -> None:
         raise ModbusConnectionError("reset", errno=errno.ECONNRESET)
 
     frames: list[Traced] = []
-    with world.client_of("tcp", good, trace=frames.append) as plc:
+    with world.client_of("tcp", on_read, trace=frames.append) as plc:
         with monkeypatch.context() as patch:
             patch.setattr(StreamPort, "send", fail)
             with pytest.raises(ModbusConnectionError):

@@ -20,7 +20,7 @@ import pytest
 from libmodbus_py import AsyncClient, Client, ModbusConnectionError, pdu
 from tests.support.clients import ALL, asking, read
 from tests.support.peers import LinePeer, TcpPeer, Write, peer_at, until
-from tests.support.reads import good, good_at
+from tests.support.reads import on_read, on_read_at
 from tests.support.scripted import run as run_watched
 from tests.support.signals import in_child
 
@@ -43,7 +43,7 @@ def test_a_child_sends_nothing_of_what_its_parent_asks() -> None:
                 halfway.set()
             write(request, after=0.01)
         else:
-            good(request, write)
+            on_read(request, write)
 
     with TcpPeer(slowly) as peer, asking("blocking", peer.url) as context:
         requests = [pdu.WriteRegister(address, 1) for address in range(40)]
@@ -69,7 +69,7 @@ def test_a_fork_in_a_hook_leaves_both_with_contexts_that_work() -> None:
                 return
             statuses[0] = child
 
-    with TcpPeer(good) as peer:
+    with TcpPeer(on_read) as peer:
         context = Client(peer.url, trace=fork, timeout=2)
         parent = os.getpid()
         try:
@@ -87,9 +87,9 @@ def test_a_fork_in_a_hook_leaves_both_with_contexts_that_work() -> None:
 def test_a_child_that_asks_and_closes_leaves_its_parent_alone() -> None:
     """Both ask at the same time; neither connection nor settings of the port are the child's."""
     with (
-        LinePeer(good_at("rtu")) as unit,
+        LinePeer(on_read_at("rtu")) as unit,
         Client(f"rtu://{unit.path}", baudrate=9600) as line,
-        TcpPeer(good) as peer,
+        TcpPeer(on_read) as peer,
         Client(peer.url) as context,
     ):
         assert_read(context, 1)
@@ -120,7 +120,7 @@ def test_a_hundred_threads_and_a_close() -> None:
             for address in range(number, number + 50):
                 assert_read(context, address)
 
-    with TcpPeer(good) as peer, ThreadPoolExecutor(100) as pool:
+    with TcpPeer(on_read) as peer, ThreadPoolExecutor(100) as pool:
         for pause in (0.0, 0.002, 0.03):
             context = Client(peer.url)
             futures = [pool.submit(ask, context, number) for number in range(100)]
@@ -138,7 +138,7 @@ def test_clients_work_with_descriptors_beyond_1023(scheme: str, kind: str) -> No
         pytest.skip("this system allows no more descriptors")
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2048), hard))
     descriptors: list[int] = []
-    with peer_at(scheme, good_at(scheme)) as peer:
+    with peer_at(scheme, on_read_at(scheme)) as peer:
         try:
             while not descriptors or descriptors[-1] < 1030:
                 descriptors.append(os.dup(0))
@@ -153,7 +153,7 @@ def test_clients_work_with_descriptors_beyond_1023(scheme: str, kind: str) -> No
 
 def test_no_descriptor_or_thread_is_left_by_clients_of_any_fate() -> None:
     """What is left fails the test: see tests.support.leaks."""
-    with TcpPeer(good) as server, LinePeer(good_at("rtu")) as unit:
+    with TcpPeer(on_read) as server, LinePeer(on_read_at("rtu")) as unit:
         Client(f"tcp://127.0.0.1:{server.port}")  # never used
         forgotten = Client(f"tcp://127.0.0.1:{server.port}")
         assert_read(forgotten, 1)
@@ -171,7 +171,7 @@ def test_no_descriptor_or_thread_is_left_by_clients_of_any_fate() -> None:
 
 @ALL
 def test_clients_can_be_neither_pickled_nor_copied_deeply(kind: str) -> None:
-    with TcpPeer(good) as peer, asking(kind, peer.url) as client:
+    with TcpPeer(on_read) as peer, asking(kind, peer.url) as client:
         for spoil in (pickle.dumps, copy.deepcopy):
             with pytest.raises(TypeError):
                 spoil(getattr(client, "_plc", client))
@@ -188,7 +188,7 @@ def forget(url: str) -> None:
 
 
 def test_a_forgotten_client_says_so_and_frees_its_port() -> None:
-    with LinePeer(good_at("rtu")) as unit:
+    with LinePeer(on_read_at("rtu")) as unit:
         for times in range(2):
             with pytest.warns(ResourceWarning, match=unit.path):
                 forget(unit.url)
@@ -199,7 +199,7 @@ def test_a_forgotten_client_says_so_and_frees_its_port() -> None:
 @pytest.mark.filterwarnings("error::ResourceWarning")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_forgotten_client_frees_its_port_where_warnings_are_errors() -> None:
-    with LinePeer(good_at("rtu")) as unit:
+    with LinePeer(on_read_at("rtu")) as unit:
         forget(unit.url)
         with Client(unit.url) as context:
             assert_read(context, 1)
@@ -233,5 +233,5 @@ def test_a_client_forgotten_while_it_connects_leaves_nothing() -> None:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)
-        with TcpPeer(good) as server, new_garbage_only():
+        with TcpPeer(on_read) as server, new_garbage_only():
             run_watched(main())

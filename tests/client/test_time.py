@@ -12,8 +12,8 @@ from libmodbus_py.client.sender import Sender
 from tests.simulation.scripted import Scripted
 from tests.support.clients import ALL, World, asking, read
 from tests.support.in_loops import run_client
-from tests.support.peers import Write, answering, dead, echo, ignore, peer_at, until
-from tests.support.reads import good
+from tests.support.peers import Write, answering, echo, ignore, mute_port, peer_at, until
+from tests.support.reads import on_read
 from tests.support.urls import CONNECTING
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
@@ -103,7 +103,7 @@ UNITS = [
 @ALL
 @pytest.mark.parametrize(("unit", "error"), UNITS)
 def test_a_unit_that_does_not_exist_is_refused_when_it_is_set(kind: str, unit, error) -> None:
-    with peer_at("tcp", good) as peer, asking(kind, peer.url) as client:
+    with peer_at("tcp", on_read) as peer, asking(kind, peer.url) as client:
         with pytest.raises(error, match=r"unit must be .*0\.\.255"):
             client.unit = unit
         assert client.read_holding_registers(7, 1) == [7]
@@ -119,7 +119,7 @@ def test_a_unit_that_does_not_exist_is_refused_when_it_is_submitted(unit, error)
             Sender(plc).submit(unit, pdu.ReadHoldingRegisters(1, 1), lambda: None)
         assert await task == [7]
 
-    run_client(good, use)
+    run_client(on_read, use)
 
 
 class Silent(pdu.WriteRegister):
@@ -130,7 +130,7 @@ class Silent(pdu.WriteRegister):
 
 
 def test_a_request_without_an_answer_is_not_waited_for(world: World) -> None:
-    peer = world.peer("tcp", lambda request, write: request[7] != 6 and good(request, write))
+    peer = world.peer("tcp", lambda request, write: request[7] != 6 and on_read(request, write))
     with world.connect(peer.url, timeout=600) as client:
         assert client.read_holding_registers(1, 1) == [1]
         assert client.execute(Silent(3, 4)) is None
@@ -153,7 +153,7 @@ def test_a_shorter_timeout_of_another_thread_ends_the_wait(scheme: str) -> None:
 
 
 def test_a_shorter_timeout_of_another_thread_ends_an_attempt_to_connect() -> None:
-    with dead() as port, ThreadPoolExecutor(1) as pool:
+    with mute_port() as port, ThreadPoolExecutor(1) as pool:
         client = Client(f"tcp://127.0.0.1:{port}", timeout=600)
         future = pool.submit(client.connect)
         until(lambda: client.state is State.CONNECTING)
@@ -164,7 +164,7 @@ def test_a_shorter_timeout_of_another_thread_ends_an_attempt_to_connect() -> Non
 
 
 def test_a_timeout_set_again_and_again_disturbs_no_request() -> None:
-    with peer_at("tcp", good) as peer, asking("blocking", peer.url, timeout=600) as client:
+    with peer_at("tcp", on_read) as peer, asking("blocking", peer.url, timeout=600) as client:
         over = threading.Event()
 
         def change() -> None:

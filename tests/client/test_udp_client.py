@@ -21,7 +21,7 @@ from libmodbus_py.ports.endpoint import parse
 from tests.support.clients import ALL, Connect, World, asking, read
 from tests.support.names import NEEDS_IPV6
 from tests.support.peers import Answer, UdpPeer, Write, answer, answering, echo
-from tests.support.reads import echoes, good, reads
+from tests.support.reads import echoes, on_read, reads
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def refused_port() -> Iterator[int]:
 
 @NEEDS_IPV6
 def test_url_with_an_ipv6_address(connect: Connect) -> None:
-    with UdpPeer(good, family=socket.AF_INET6) as server, connect(server.url, unit=3) as context:
+    with UdpPeer(on_read, family=socket.AF_INET6) as server, connect(server.url, unit=3) as context:
         assert context.read_holding_registers(5, 1) == [5]
         assert server.requests[0][2:] == bytes.fromhex("0000 0006 03 03 0005 0001")
 
@@ -129,13 +129,13 @@ def test_port_where_nobody_listens_is_a_connection_error_at_once(
 
 
 def test_port_that_comes_back_is_used_again(connect: Connect) -> None:
-    first = UdpPeer(good)
+    first = UdpPeer(on_read)
     with connect(first.url) as context:
         with first:
             assert context.read_holding_registers(1, 1) == [1]
         with pytest.raises(ModbusConnectionError):
             context.read_holding_registers(1, 1)
-        with UdpPeer(good, port=first.port):
+        with UdpPeer(on_read, port=first.port):
             assert context.read_holding_registers(2, 1) == [2]
 
 

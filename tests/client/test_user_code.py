@@ -23,7 +23,7 @@ from tests.support.cases import each_case
 from tests.support.clients import ALL, KINDS, World, asking, making, read
 from tests.support.in_loops import run_client
 from tests.support.peers import FakeServer, Write, address_of, answer, has_header
-from tests.support.reads import good
+from tests.support.reads import on_read
 from tests.support.urls import CONNECTING, rules_of
 
 each_scheme = pytest.mark.parametrize("scheme", CONNECTING)
@@ -194,7 +194,7 @@ def submitting(act: Callable[[AsyncClient, list[Any]], object]) -> list[Any]:
         outcomes.append(second.outcome)
         await asyncio.sleep(1)
 
-    run_client(good, use)
+    run_client(on_read, use)
     return outcomes
 
 
@@ -235,7 +235,7 @@ def test_a_class_may_use_the_client_while_it_decodes() -> None:
         assert results == [[1], [2], [3]]
         assert outcomes == [[6], [6], [6]]
 
-    run_client(good, use)
+    run_client(on_read, use)
 
 
 def tcp(request: bytes) -> list[bytes]:

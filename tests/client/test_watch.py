@@ -25,7 +25,7 @@ from tests.support.cases import each_case
 from tests.support.clients import World
 from tests.support.in_loops import run_client
 from tests.support.peers import Write, mbap
-from tests.support.reads import good
+from tests.support.reads import on_read
 from tests.support.signals import interrupt, on_alarm
 
 METER = RegisterMap([Point("a", "holding_registers", 0), Point("b", "holding_registers", 9)])
@@ -193,7 +193,7 @@ def in_a_loop(use: Callable[[AsyncClient, Any], Awaitable[None]], every: float) 
         await anext(watching)
         await use(plc, watching)
 
-    run_client(good, begun)
+    run_client(on_read, begun)
 
 
 def test_close_ends_a_wait_in_an_event_loop() -> None:

@@ -16,8 +16,8 @@ from libmodbus_py import (
 from tests.support.cases import each_case
 from tests.support.clients import Connect, World
 from tests.support.contexts import context_at
+from tests.support.driver import ascii_frame, rtu
 from tests.support.peers import OnRequest, Write, mbap, peer_at
-from tests.support.talk import ascii_frame, rtu
 
 SINGLE, MULTIPLE = (5, 6), (15, 16)
 

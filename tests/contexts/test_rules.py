@@ -27,8 +27,8 @@ from libmodbus_py import (
 from libmodbus_py.low_level import lib, loaded_version
 from tests.support.cases import each_case
 from tests.support.contexts import context_at
-from tests.support.peers import OnRequest, TcpPeer, Write, answer, dead, ignore, peer_at, until
-from tests.support.reads import good, good_at
+from tests.support.peers import OnRequest, TcpPeer, Write, answer, ignore, mute_port, peer_at, until
+from tests.support.reads import on_read, on_read_at
 from tests.support.signals import in_child, interrupt, on_alarm
 
 each_transport = pytest.mark.parametrize("transport", ["tcp", "rtu"])
@@ -77,7 +77,7 @@ def test_after_a_timeout_the_next_call_connects_again() -> None:
         with pytest.raises(ModbusTimeoutError, match=r"unit 17, function 3, ReadHold.*timed out"):
             context.read_holding_registers(1, 1)
         assert context.socket == -1
-        peer.on_request = good
+        peer.on_request = on_read
         context.response_timeout = 5.0
         assert context.read_holding_registers(2, 1) == [2]
         assert peer.connections == 2
@@ -90,7 +90,7 @@ def test_after_a_timeout_a_line_has_to_be_silent() -> None:
     with peer_at("rtu", chatter) as peer, context_at(peer.url, timeout=0.2) as context:
         with pytest.raises(ModbusTimeoutError):
             context.read_holding_registers(1, 1)
-        peer.on_request = good_at("rtu")
+        peer.on_request = on_read_at("rtu")
         assert context.read_holding_registers(2, 1) == [2]
         # The byte came 0.25 s after the request, and then 0.2 s have to pass.
         assert peer.times[1] - peer.times[0] >= 0.43
@@ -103,7 +103,7 @@ def test_a_new_context_takes_no_late_answer_to_a_request_of_the_last_one() -> No
     with peer_at("rtu", late) as peer:
         with context_at(peer.url, timeout=0.2) as context, pytest.raises(ModbusTimeoutError):
             context.read_holding_registers(1, 1)
-        peer.on_request = good_at("rtu")
+        peer.on_request = on_read_at("rtu")
         with context_at(peer.url, timeout=0.2) as context:
             assert context.read_holding_registers(2, 1) == [2]
 
@@ -140,12 +140,12 @@ def test_bad_answers_are_errors_and_the_next_answer_is_right(name: str) -> None:
         with pytest.raises(kind) as caught:
             context.read_holding_registers(1, 1)
         assert (caught.value.unit, caught.value.function) == (17, 3)
-        peer.on_request = good_at(transport)
+        peer.on_request = on_read_at(transport)
         assert context.read_holding_registers(2, 1) == [2]
 
 
 def test_a_connection_that_the_other_side_closes_is_made_again() -> None:
-    with TcpPeer(good) as peer, context_at(peer.url) as context:
+    with TcpPeer(on_read) as peer, context_at(peer.url) as context:
         for _ in range(2):
             assert context.read_holding_registers(1, 1) == [1]
             peer.drop_all()
@@ -167,7 +167,7 @@ def test_a_port_where_nothing_listens_is_refused() -> None:
 
 
 def test_a_host_that_does_not_answer_takes_one_timeout() -> None:
-    with dead() as port:
+    with mute_port() as port:
         start = time.monotonic()
         with pytest.raises(ModbusConnectionError) as caught:
             TcpContext("127.0.0.1", port, timeout=0.1).connect()
@@ -206,7 +206,7 @@ def test_a_port_in_use_is_refused() -> None:
 
 
 def test_an_unplugged_adapter_is_an_error_until_it_is_back() -> None:
-    with peer_at("rtu", good_at("rtu")) as peer:
+    with peer_at("rtu", on_read_at("rtu")) as peer:
         context = context_at(peer.url, timeout=1.0)
         assert context.read_holding_registers(1, 1) == [1]
     for _ in range(2):
@@ -218,7 +218,7 @@ def test_an_unplugged_adapter_is_an_error_until_it_is_back() -> None:
 
 @each_transport
 def test_a_closed_context_opens_again_when_it_is_told_to(transport: str) -> None:
-    with peer_at(transport, good_at(transport)) as peer:
+    with peer_at(transport, on_read_at(transport)) as peer:
         context = context_at(peer.url)
         assert context.read_holding_registers(1, 1) == [1]
         context.close()
@@ -232,7 +232,7 @@ def test_a_closed_context_opens_again_when_it_is_told_to(transport: str) -> None
 
 
 def test_a_collected_context_closes_its_connection() -> None:
-    with TcpPeer(good) as peer:
+    with TcpPeer(on_read) as peer:
         context = context_at(peer.url)
         context.connect()
         until(lambda: peer.connections == 1)
@@ -243,7 +243,7 @@ def test_a_collected_context_closes_its_connection() -> None:
 
 @each_transport
 def test_threads_wait_for_each_other(transport: str) -> None:
-    with peer_at(transport, good_at(transport)) as peer, context_at(peer.url) as context:
+    with peer_at(transport, on_read_at(transport)) as peer, context_at(peer.url) as context:
 
         def ask(address: int) -> list[int]:
             return context.read_holding_registers(address, 1)
@@ -279,7 +279,7 @@ def test_closing_ends_the_call_of_another_thread() -> None:
 
 
 def test_closing_ends_a_connection_that_is_being_made() -> None:
-    with dead() as port:
+    with mute_port() as port:
         context = TcpContext("127.0.0.1", port, timeout=60.0)
         thread, errors = ask_in_thread(context)
         until(lambda: context._waker is not None)
@@ -309,7 +309,7 @@ def test_ctrl_c_takes_effect_when_a_call_ends_and_spoils_it(transport: str) -> N
         with pytest.raises(KeyboardInterrupt), on_alarm(interrupt, 0.1):
             context.read_holding_registers(1, 1)
         assert 0.28 < time.monotonic() - start < 5
-        peer.on_request = good_at(transport)
+        peer.on_request = on_read_at(transport)
         assert context.read_holding_registers(2, 1) == [2]
 
 
@@ -322,7 +322,7 @@ def test_a_signal_handler_cannot_ask_during_a_call_of_its_thread() -> None:
         except RuntimeError as error:
             errors.append(error)
 
-    with TcpPeer(good_at("tcp", after=0.2)) as peer, context_at(peer.url) as context:
+    with TcpPeer(on_read_at("tcp", after=0.2)) as peer, context_at(peer.url) as context:
         with on_alarm(handler, 0.1):
             assert context.read_holding_registers(3, 1) == [3]
         assert context.read_holding_registers(4, 1) == [4]
@@ -334,7 +334,7 @@ def test_a_signal_handler_cannot_ask_during_a_call_of_its_thread() -> None:
 @FORKS
 @each_transport
 def test_a_child_can_neither_use_a_context_nor_harm_its_parent(transport: str) -> None:
-    with peer_at(transport, good_at(transport)) as peer, context_at(peer.url) as context:
+    with peer_at(transport, on_read_at(transport)) as peer, context_at(peer.url) as context:
         assert context.read_holding_registers(1, 1) == [1]
         before = termios.tcgetattr(context.socket) if transport == "rtu" else None
 
@@ -384,7 +384,7 @@ print(context.read_holding_registers(9, 1))
 
 @each_transport
 def test_descriptors_of_which_libmodbus_would_die_are_refused(transport: str) -> None:
-    with peer_at(transport, good_at(transport)) as peer:
+    with peer_at(transport, on_read_at(transport)) as peer:
         place = peer.url.rpartition(":")[2] if transport == "tcp" else peer.path  # type: ignore[attr-defined]
         process = subprocess.run(
             [sys.executable, "-c", MANY, transport, place], capture_output=True, text=True
@@ -456,7 +456,7 @@ WRONG: dict[str, Callable[[Any], object]] = {
 
 
 def test_wrong_arguments_are_named_and_nothing_is_sent() -> None:
-    with TcpPeer(good) as peer, context_at(peer.url) as context:
+    with TcpPeer(on_read) as peer, context_at(peer.url) as context:
         assert isinstance(context, TcpContext)
         for message, act in WRONG.items():
             with pytest.raises((TypeError, ValueError)) as caught:
@@ -553,7 +553,7 @@ def test_what_custom_rts_raises_is_the_cause_of_the_error_of_the_call(failing, a
         if is_sending is failing and calls == [True, False][: len(calls)]:
             raise LookupError("no line 17")
 
-    with peer_at("rtu", good_at("rtu")) as peer, context_at(peer.url, timeout=0.1) as context:
+    with peer_at("rtu", on_read_at("rtu")) as peer, context_at(peer.url, timeout=0.1) as context:
         assert isinstance(context, RtuContext)
         context.set_custom_rts(turn)
         calls.append(False)  # nothing fails yet
@@ -569,7 +569,7 @@ def test_what_custom_rts_raises_is_the_cause_of_the_error_of_the_call(failing, a
 
 def test_custom_rts_is_called_before_and_after_a_frame() -> None:
     calls: list[bool] = []
-    with peer_at("rtu", good_at("rtu")) as peer, context_at(peer.url) as context:
+    with peer_at("rtu", on_read_at("rtu")) as peer, context_at(peer.url) as context:
         assert isinstance(context, RtuContext)
         assert (context.serial_mode, context.rts) == ("rs232", "none")
         context.set_custom_rts(calls.append)

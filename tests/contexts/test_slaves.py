@@ -30,10 +30,10 @@ from libmodbus_py import (
 )
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.contexts import AnyContext, Serve, context_at, slave_by_hand
+from tests.support.driver import rtu
 from tests.support.interop import BAUDRATE, UNIT, cells, check_all, holding_register, make_device
 from tests.support.peers import peer_at, until
 from tests.support.pymodbus_peers import pymodbus_client
-from tests.support.talk import rtu
 
 each_transport = pytest.mark.parametrize("transport", ["tcp", "rtu"])
 

@@ -20,7 +20,7 @@ from libmodbus_py import (
 from libmodbus_py.errors import NegativeAcknowledge
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.pdu import SubFunction
-from tests.simulation.stage import LineEnd, Stage
+from tests.simulation.lan import Lan, LineEnd
 
 DEVICE = "/dev/ttyS0"
 
@@ -55,9 +55,7 @@ def devices() -> dict[int, Device]:
 
 
 @pytest.fixture(params=["rtu", "ascii"])
-def line(
-    request: pytest.FixtureRequest, stage: Stage, devices: dict[int, Device]
-) -> Iterator[Client]:
+def line(request: pytest.FixtureRequest, lan: Lan, devices: dict[int, Device]) -> Iterator[Client]:
     with (
         Server(devices).background(f"{request.param}://{DEVICE}?baudrate=115200"),
         Client(
@@ -178,11 +176,11 @@ def test_broadcasts_are_not_executed_in_listen_only(line: Client, devices: dict[
     assert [device.mapping.holding_registers[0] for device in devices.values()] == [0, 77]
 
 
-def test_broadcasts_of_what_is_no_write_do_nothing_but_count(stage: Stage, line: Client) -> None:
+def test_broadcasts_of_what_is_no_write_do_nothing_but_count(lan: Lan, line: Client) -> None:
     line.diagnostics(SubFunction.CLEAR_COUNTERS)
     for body in (b"\x03\0\0\0\1", b"\x08\0\4\0\0", b"\x08\0\1\0\0", b"\x41", b"\x18\0\0"):
         send(line, frame(line, 0, body))
-        stage.pass_time(0.05)  # more than the silence between two frames
+        lan.pass_time(0.05)  # more than the silence between two frames
     counts = counters(line)
     assert counts["messages"] == 1 + 5
     assert counts["unanswered"] == 5
@@ -199,8 +197,8 @@ def test_clearing_the_overrun_counter_leaves_the_others(line: Client) -> None:
 
 
 @ascii_only
-def test_ascii_delimiter_changes_after_the_echo_both_ways(stage: Stage, line: Client) -> None:
-    listener = LineEnd(stage.line(DEVICE))
+def test_ascii_delimiter_changes_after_the_echo_both_ways(lan: Lan, line: Client) -> None:
+    listener = LineEnd(lan.line(DEVICE))
     assert line.diagnostics(SubFunction.CHANGE_ASCII_DELIMITER, 0x2400) == 0x2400
     assert listener.heard.endswith(b"\r\n")
     listener.heard = b""
@@ -209,6 +207,6 @@ def test_ascii_delimiter_changes_after_the_echo_both_ways(stage: Stage, line: Cl
     request = framer.encode(framing.Frame(1, pdu.ReadHoldingRegisters(0, 1).encode()))
     assert request.endswith(b"\r$")
     send(line, request)
-    assert stage.until(lambda: listener.heard.count(b"\r$") == 2)
+    assert lan.until(lambda: listener.heard.count(b"\r$") == 2)
     answer = listener.heard.removeprefix(request)
     assert framer.feed(answer) == [framing.Frame(1, b"\x03\x02\0\0")]

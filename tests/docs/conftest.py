@@ -21,8 +21,8 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Home]:
     registered = dict(pdu.REQUESTS)
     wire = logging.getLogger("libmodbus_py.wire")
     level = wire.level
-    with Home(tmp_path) as made:
-        yield made
+    with Home(tmp_path) as folder:
+        yield folder
     pdu.REQUESTS.clear()
     pdu.REQUESTS.update(registered)
     wire.setLevel(level)

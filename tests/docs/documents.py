@@ -64,5 +64,5 @@ def blocks(document: Document) -> Iterator[Region]:
 
 def not_run(document: Document, region: Region) -> str:
     """Say why a block is not run, or nothing."""
-    found = _NOT_RUN.search(document.text, 0, region.start)
-    return found[1] if found else ""
+    match = _NOT_RUN.search(document.text, 0, region.start)
+    return match[1] if match else ""

@@ -64,8 +64,8 @@ class Home:
 
     def here(self, text: str) -> str:
         """Put the addresses of this machine into what a document says."""
-        for there, found in self._places.items():
-            text = re.sub(there, found, text)
+        for there, path in self._places.items():
+            text = re.sub(there, path, text)
         return re.sub(r"/dev/ttyUSB\d", lambda port: self._ports[port[0]], text)
 
     def there(self, text: str) -> str:

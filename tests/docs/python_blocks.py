@@ -21,7 +21,7 @@ from collections.abc import Callable
 from sybil import Example
 
 
-def run_python(example: Example, source: str, seen: Callable[[str], str]) -> None:
+def run_python(example: Example, source: str, normalize: Callable[[str], str]) -> None:
     """
     Run a block in the namespace of its document. `source`: the block, with the addresses of this
     machine; `seen`: puts the addresses of the document into what was printed.
@@ -29,7 +29,7 @@ def run_python(example: Example, source: str, seen: Callable[[str], str]) -> Non
     tree = Comparing(source).visit(ast.parse(source))
     ast.increment_lineno(tree, example.line)
     code = compile(tree, example.path, "exec")
-    example.namespace |= {"must_equal": must_equal, "must_print": must_print(seen)}
+    example.namespace |= {"must_equal": must_equal, "must_print": must_print(normalize)}
     exec(code, example.namespace)
 
 
@@ -63,11 +63,11 @@ class Comparing(ast.NodeTransformer):
     ) -> ast.stmt:
         self.compared += 1
         function.ctx = ast.Load()
-        expected: ast.expr = ast.Constant(comment)
+        value: ast.expr = ast.Constant(comment)
         if function.id == "must_equal" and "..." not in comment:
-            expected = ast.parse(comment, mode="eval").body
-        made = ast.Expr(ast.Call(function, [expected, *arguments], []))
-        return ast.fix_missing_locations(ast.copy_location(made, node))
+            value = ast.parse(comment, mode="eval").body
+        statement = ast.Expr(ast.Call(function, [value, *arguments], []))
+        return ast.fix_missing_locations(ast.copy_location(statement, node))
 
 
 def comments_of(source: str) -> dict[int, str]:
@@ -94,26 +94,26 @@ def is_value(comment: str) -> bool:
     return not isinstance(body, ast.Name) and all(name[0].isupper() for name in names)
 
 
-def must_equal(expected: object, found: object) -> None:
-    if isinstance(expected, str) and "..." in expected:
-        shown = repr(found).replace("'", '"')
-        assert matches(expected.replace("'", '"'), shown), f"{shown} is not {expected}"
+def must_equal(comment: object, value: object) -> None:
+    if isinstance(comment, str) and "..." in comment:
+        text = repr(value).replace("'", '"')
+        assert matches(comment.replace("'", '"'), text), f"{text} is not {comment}"
     else:
-        assert found == expected, f"{found!r} is not {expected!r}"
+        assert value == comment, f"{value!r} is not {comment!r}"
 
 
-def must_print(seen: Callable[[str], str]) -> Callable[..., None]:
-    def compare(expected: str, *values: object) -> None:
-        printed = seen(" ".join(map(str, values)))
-        assert matches(seen(expected), printed), f"printed is {printed!r}, not {expected!r}"
+def must_print(normalize: Callable[[str], str]) -> Callable[..., None]:
+    def compare(comment: str, *values: object) -> None:
+        printed = normalize(" ".join(map(str, values)))
+        assert matches(normalize(comment), printed), f"printed is {printed!r}, not {comment!r}"
 
     return compare
 
 
-def matches(expected: str, found: str) -> bool:
+def matches(pattern: str, text: str) -> bool:
     """Compare texts: ``...`` is anything, and blanks are as long as they like."""
-    parts = [_flexible(part) for part in expected.split("...")]
-    return re.fullmatch(".*?".join(parts), found, re.DOTALL) is not None
+    parts = [_flexible(part) for part in pattern.split("...")]
+    return re.fullmatch(".*?".join(parts), text, re.DOTALL) is not None
 
 
 def _flexible(text: str) -> str:

@@ -157,12 +157,12 @@ class Shell:
             new_session=True,
         )
 
-    def _await(self, process: Process, output: Path, expected: str) -> None:
+    def _await(self, process: Process, output: Path, text: str) -> None:
         """Wait until it has printed so much."""
         end = time.monotonic() + PATIENCE
-        while not matches(f"{self._pattern(expected)}...", self._read(output)):
+        while not matches(f"{self._pattern(text)}...", self._read(output)):
             assert process.poll() is None, f"ended: {self._read(output)}"
-            assert time.monotonic() < end, f"printed {self._read(output)!r}, not {expected!r}"
+            assert time.monotonic() < end, f"printed {self._read(output)!r}, not {text!r}"
             time.sleep(0.02)
 
     def _finish(self, process: Process, output: Path, command: Command) -> None:
@@ -186,9 +186,9 @@ class Shell:
     def _read(self, output: Path) -> str:
         return self._there(output.read_text(errors="replace"))
 
-    def _pattern(self, expected: str) -> str:
+    def _pattern(self, text: str) -> str:
         """A whole line of ``...`` stands for text with its line end."""
-        same = self._there(self._here(expected))
+        same = self._there(self._here(text))
         return re.sub(r"^\.\.\.\n", "...", same, flags=re.MULTILINE)
 
 

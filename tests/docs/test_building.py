@@ -36,13 +36,13 @@ def test_nothing_names_an_address_that_nobody_has_made() -> None:
         r"git(hub|lab)(usercontent)?\.(com|io)/libmodbus-py|libmodbus-py\.github\.io"
     )
     files = runpy.run_path(str(ROOT / "packaging" / "deb.py"))["files"]()
-    found = [
+    names = [
         name
         for name in files
         if name.endswith(TEXT_FILES) and address.search((ROOT / name).read_text())
     ]
     assert len(files) > 500
-    assert found == []
+    assert names == []
 
 
 PAGE = "[map](../../examples/meter.toml), [here](tls.md#roles), [units](../../deploy), [web](https://a.b)"
@@ -102,13 +102,13 @@ def test_copy_buttons_find_the_commands() -> None:
     """The theme copies the attribute data-copy of the block, or else all that it shows."""
     from html import escape, unescape
 
-    shown = escape(SESSION).replace("$ ", '<span class="gp">$ </span>')
+    html = escape(SESSION).replace("$ ", '<span class="gp">$ </span>')
     other = '<div class="language-python highlight"><pre><code>x</code></pre></div>'
-    page = f'<div class="language-console highlight"><pre><code>{shown}</code></pre></div>{other}'
-    made = loaded("copying").with_commands(page)
-    (found,) = re.findall(r'<div class="language-console highlight" data-copy="([^"]*)">', made)
-    assert unescape(found).splitlines() == loaded("copying").commands_of(SESSION)
-    assert made.endswith(other)
+    page = f'<div class="language-console highlight"><pre><code>{html}</code></pre></div>{other}'
+    text = loaded("copying").with_commands(page)
+    (commands,) = re.findall(r'<div class="language-console highlight" data-copy="([^"]*)">', text)
+    assert unescape(commands).splitlines() == loaded("copying").commands_of(SESSION)
+    assert text.endswith(other)
 
 
 def item(location: str, title: str) -> dict[str, Any]:
@@ -137,17 +137,17 @@ def site(tmp_path: Path) -> Path:
 
 def test_questions_come_first_and_names_of_the_api_last(site: Path) -> None:
     searching = loaded("searching")
-    asked = {"no answer": "troubleshooting/#lines"}
-    assert searching.mistakes(INDEX, asked, site) == [
+    questions = {"no answer": "troubleshooting/#lines"}
+    assert searching.mistakes(INDEX, questions, site) == [
         "search: 'no answer' leads to api/servers/, not to troubleshooting/#lines"
     ]
-    arranged = searching.arranged(INDEX, asked)
+    arranged = searching.arranged(INDEX, questions)
     locations = [each["location"] for each in json.loads(arranged)["items"]]
     assert locations == [
         *("troubleshooting/#lines", "troubleshooting/", "troubleshooting/#lines"),
         *("api/clients/#note_answer", "api/servers/"),
     ]
-    assert searching.mistakes(arranged, asked, site) == []
+    assert searching.mistakes(arranged, questions, site) == []
 
 
 def test_a_question_that_leads_nowhere_is_a_mistake(site: Path) -> None:
@@ -159,9 +159,9 @@ def test_a_question_that_leads_nowhere_is_a_mistake(site: Path) -> None:
 
 
 def test_what_people_ask_leads_to_pages_that_exist() -> None:
-    asked = tomllib.loads((SCRIPTS / "asked.toml").read_text())
-    assert {"no answer", "reconnect", "log to csv", "influxdb"} <= set(asked)
-    for location in asked.values():
+    questions = tomllib.loads((SCRIPTS / "asked.toml").read_text())
+    assert {"no answer", "reconnect", "log to csv", "influxdb"} <= set(questions)
+    for location in questions.values():
         page = location.partition("#")[0].rstrip("/")
         assert (ROOT / "docs" / f"{page}.md").exists() or (ROOT / "docs" / page).is_dir(), location
 

@@ -72,27 +72,27 @@ def pairs(page: str) -> Iterator[Pair]:
 
 def programs() -> dict[str, Pair]:
     """Return the pairs whose lines the pages count: the first of each peer."""
-    found = [each for page in (*PAIRS, "mbpoll") for each in pairs(page)]
-    counted = {match[0]: each for each in found if (match := LINES.search(each.before))}
+    pairs_ = [each for page in (*PAIRS, "mbpoll") for each in pairs(page)]
+    counted = {match[0]: each for each in pairs_ if (match := LINES.search(each.before))}
     return {re.findall(r"with (\w+) and", text)[0]: each for text, each in counted.items()}
 
 
 PROGRAMS = programs()
 
 
-def said(source: str) -> list[object]:
+def outputs(source: str) -> list[object]:
     """The values that comments name; a value alone and a list of it are one to readers."""
     texts = [text for text in comments_of(source).values() if is_value(text)]
-    found = [ast.literal_eval(text) for text in texts]
-    return [each[0] if isinstance(each, list) and len(each) == 1 else each for each in found]
+    values = [ast.literal_eval(text) for text in texts]
+    return [each[0] if isinstance(each, list) and len(each) == 1 else each for each in values]
 
 
 @pytest.mark.parametrize("page", PAIRS)
 def test_both_sides_of_the_pairs_give_the_same(page: str) -> None:
-    found = list(pairs(page))
-    assert len(found) >= PAIRS[page]
-    for each in found:
-        assert said(each.theirs)[-1] == said(each.ours)[-1], each.ours
+    rows = list(pairs(page))
+    assert len(rows) >= PAIRS[page]
+    for each in rows:
+        assert outputs(each.theirs)[-1] == outputs(each.ours)[-1], each.ours
         assert "libmodbus_py" not in each.theirs
 
 
@@ -103,8 +103,8 @@ def test_each_peer_begins_with_a_program_in_both() -> None:
 @each_case("peer", PROGRAMS)
 def test_the_lines_of_both_programs_are_counted(peer: str) -> None:
     each = PROGRAMS[peer]
-    found = [len(list(filter(str.strip, text.splitlines()))) for text in (each.theirs, each.ours)]
-    assert found == [int(text) for text in LINES.search(each.before).groups()]  # type: ignore[union-attr]
+    counts = [len(list(filter(str.strip, text.splitlines()))) for text in (each.theirs, each.ours)]
+    assert counts == [int(text) for text in LINES.search(each.before).groups()]  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("peer", [each for each in PROGRAMS if each != "mbpoll"])
@@ -116,9 +116,9 @@ def test_both_programs_print_what_they_say(peer, home: Home, capsys) -> None:
     for source in (PROGRAMS[peer].theirs, PROGRAMS[peer].ours):
         exec(home.here(source), {})
         printed = capsys.readouterr().out.splitlines()
-        expected = list(comments_of(source).values())
-        assert len(printed) == len(expected)
-        for text, line in zip(expected, printed, strict=True):
+        comments = list(comments_of(source).values())
+        assert len(printed) == len(comments)
+        for text, line in zip(comments, printed, strict=True):
             assert matches(text, line), line
 
 
@@ -255,8 +255,8 @@ def test_errors_of_minimalmodbus_are_those_of_the_table(monkeypatch: pytest.Monk
 
 def parameters(*callables: Any) -> dict[str, Any]:
     """Return the defaults of all arguments, by name; of several with one name, the last."""
-    found = [inspect.signature(each).parameters for each in callables]
-    return {name: each.default for names in found for name, each in names.items()}
+    signatures = [inspect.signature(each).parameters for each in callables]
+    return {name: each.default for names in signatures for name, each in names.items()}
 
 
 PEERS = {
@@ -295,8 +295,8 @@ def test_the_options_of_peers_and_their_defaults_exist(page: str) -> None:
 
 def test_options_without_an_equivalent_exist() -> None:
     page = (FOLDER / "pymodbus.md").read_text()
-    (named,) = re.findall(r"^No equivalent: (.*)\n", page, re.MULTILINE)
-    assert {*re.findall("`(.*?)`", named)} <= PEERS["pymodbus"].keys()
+    (names,) = re.findall(r"^No equivalent: (.*)\n", page, re.MULTILINE)
+    assert {*re.findall("`(.*?)`", names)} <= PEERS["pymodbus"].keys()
     assert pylibmodbus.ModbusTcp("127.0.0.1", 502).get_response_timeout() == 0.5
 
 
@@ -304,9 +304,9 @@ def test_options_without_an_equivalent_exist() -> None:
 def test_our_options_and_their_defaults_are_those_of_the_page_of_defaults(page: str) -> None:
     text = (ROOT / "docs" / "defaults.md").read_text().partition("\n## Limits")[0]
     defaults = dict(re.findall(r"^\| `(\w+)` \| `([^`]+)` \|", text, re.MULTILINE))
-    shown = [pair for row in option_rows(page) for pair in re.findall(r"`(\w+)=([^`]+)`", row[-1])]
-    assert len(shown) >= 4
-    for name, value in shown:
+    pairs = [pair for row in option_rows(page) for pair in re.findall(r"`(\w+)=([^`]+)`", row[-1])]
+    assert len(pairs) >= 4
+    for name, value in pairs:
         if name in defaults and name not in SHOWN:
             assert defaults[name] == value
 
@@ -325,7 +325,7 @@ def test_bits_of_pymodbus_are_bits16_with_the_order_badc() -> None:
 
 
 @pytest.fixture
-def named(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+def module(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """Put examples/pymodbus_names.py in the place of pymodbus, as its docstring says."""
     specification = importlib.util.spec_from_file_location(
         "pymodbus_names", ROOT / "examples" / "pymodbus_names.py"
@@ -339,7 +339,7 @@ def named(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return module
 
 
-def test_programs_for_pymodbus_give_the_same_with_its_names(named: ModuleType, home: Home) -> None:
+def test_programs_for_pymodbus_give_the_same_with_its_names(module: ModuleType, home: Home) -> None:
     """Those of the page: with errors, on a serial line, and with asyncio."""
     exec(home.here(next(blocks_that_readers_do_not_see("pymodbus"))), {"home": home})
     for pair in [*pairs("pymodbus")][:3]:
@@ -349,10 +349,10 @@ def test_programs_for_pymodbus_give_the_same_with_its_names(named: ModuleType, h
         exec(compile(tree, "program", "exec"), checks)
 
 
-def test_connected_is_what_pymodbus_says(named: ModuleType, served: int) -> None:
-    absent = named.ModbusTcpClient("127.0.0.1", port=1, retries=0)
+def test_connected_is_what_pymodbus_says(module: ModuleType, served: int) -> None:
+    absent = module.ModbusTcpClient("127.0.0.1", port=1, retries=0)
     assert (absent.connect(), absent.connected) == (False, False)
-    client = named.ModbusTcpClient("127.0.0.1", port=served)
+    client = module.ModbusTcpClient("127.0.0.1", port=served)
     assert (client.connected, client.connect(), client.connected) == (False, True, True)
     client.close()
     assert not client.connected
@@ -364,8 +364,8 @@ def test_connected_is_what_pymodbus_says(named: ModuleType, served: int) -> None
     client.close()
 
 
-async def test_asyncio_programs_close_without_await(named: ModuleType, served: int) -> None:
-    client = named.AsyncModbusTcpClient("127.0.0.1", port=served)
+async def test_asyncio_programs_close_without_await(module: ModuleType, served: int) -> None:
+    client = module.AsyncModbusTcpClient("127.0.0.1", port=served)
     assert await client.connect()
     assert client.connected
     client.close()
@@ -374,12 +374,12 @@ async def test_asyncio_programs_close_without_await(named: ModuleType, served: i
     assert (await client.read_holding_registers(0, count=1)).registers == [0]
     client.close()
     await asyncio.sleep(0.01)
-    absent = named.AsyncModbusTcpClient("127.0.0.1", port=1)
+    absent = module.AsyncModbusTcpClient("127.0.0.1", port=1)
     assert not await absent.connect()
 
 
-def test_what_does_not_answer_raises_the_errors_of_its_names(named: ModuleType, silent: int):
-    client = named.ModbusTcpClient("127.0.0.1", port=silent, timeout=0.05, retries=0)
-    with pytest.raises(named.ModbusIOException):
+def test_what_does_not_answer_raises_the_errors_of_its_names(module: ModuleType, silent: int):
+    client = module.ModbusTcpClient("127.0.0.1", port=silent, timeout=0.05, retries=0)
+    with pytest.raises(module.ModbusIOException):
         client.read_coils(0)
     client.close()

@@ -45,14 +45,14 @@ LISTED = re.compile(r"^ +\| +(\w+)=(\S+) +\S", re.MULTILINE)
     [(Client, Options, {}), (AsyncClient, AsyncOptions, {"max_pause": MAX_PAUSE})],
 )
 def test_help_lists_every_option_with_its_default(client: Any, options: Any, usual: Any) -> None:
-    expected = {name: row.default for name, row in rows_of(options).items()} | usual
+    defaults = {name: row.default for name, row in rows_of(options).items()} | usual
     listed = LISTED.findall(pydoc.plaintext.document(client))
-    assert {name: value(text) for name, text in listed} == expected
-    assert len(listed) == len(expected)
+    assert {name: value(text) for name, text in listed} == defaults
+    assert len(listed) == len(defaults)
 
 
 @each_case("name", [*ROWS])
-def test_the_row_of_an_option(name: str) -> None:
+def test_an_option_accepts_its_default_and_its_range(name: str) -> None:
     """Its text names the range, and it accepts its default."""
     row = ROWS[name]
     row.check(name, row.default)

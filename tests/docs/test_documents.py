@@ -42,13 +42,13 @@ def test_comments_and_outputs_are_compared() -> None:
 
 def test_readers_see_where_each_name_comes_from() -> None:
     """Only blocks that readers do not see use what the tests put into the namespace."""
-    found = [
+    places = [
         f"{document.path}: {region.lexemes['source']}"
         for document, region in everything()
         if document.text[region.start : region.start + 3] == "```"
         if re.search(r"\bhome\.", region.lexemes["source"])
     ]
-    assert found == []
+    assert places == []
 
 
 REASONS = (
@@ -86,10 +86,10 @@ EXTRAS = re.compile(r"(?:libmodbus-py|'\.)\[([\w,]+)\]")
 
 
 @each_case("path", DOCUMENTS, ids=NAMES)
-def test_extras_exist(path: Path) -> None:
+def test_extras_that_documents_name_exist(path: Path) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    named = {extra for found in EXTRAS.findall(path.read_text()) for extra in found.split(",")}
-    assert named <= project["optional-dependencies"].keys()
+    extras = {extra for names in EXTRAS.findall(path.read_text()) for extra in names.split(",")}
+    assert extras <= project["optional-dependencies"].keys()
 
 
 def test_the_first_screen_of_the_readme() -> None:
@@ -121,17 +121,17 @@ LINK = re.compile(r"""\]\(([^)\s]*)\)|^\[[^]]+\]:\s*(\S+)|(?:src|href)="([^"]*)\
 
 
 def links_of(text: str) -> list[str]:
-    shown = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
-    return ["".join(found) for found in LINK.findall(shown)]
+    prose = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
+    return ["".join(parts) for parts in LINK.findall(prose)]
 
 
 @each_case("path", PAGES)
-def test_links_lead_somewhere(path: Path) -> None:
+def test_links_lead_to_files_and_headings_that_exist(path: Path) -> None:
     for link in links_of(path.read_text()):
         if re.match(r"\w+:", link):
             continue
         target, _, heading = link.partition("#")
-        found = path.parent / target if target else path
-        assert found.exists(), link
-        if heading and found.suffix == ".md":
-            assert heading in headings(found), link
+        file = path.parent / target if target else path
+        assert file.exists(), link
+        if heading and file.suffix == ".md":
+            assert heading in headings(file), link

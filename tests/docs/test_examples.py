@@ -37,7 +37,7 @@ def test_a_document_runs(tmp_path: Path, run: Run) -> None:
         ("```sh\ntrue\nfalse\n```", "exit code 1"),
     ],
 )
-def test_a_lie_is_noticed(tmp_path: Path, run: Run, block: str, what: str) -> None:
+def test_a_wrong_output_is_an_error(tmp_path: Path, run: Run, block: str, what: str) -> None:
     path = tmp_path / "lie.md"
     path.write_text(f"Text.\n\n{block}\n")
     with pytest.raises((AssertionError, NameError, SyntaxError)) as caught:
@@ -54,7 +54,7 @@ def test_a_failure_says_where(tmp_path: Path, run: Run) -> None:
 
 
 @each_case(
-    ("expected", "found", "fits"),
+    ("pattern", "text", "fits"),
     [
         ("a  b", "a      b", True),
         ("a b", "ab", False),
@@ -64,11 +64,11 @@ def test_a_failure_says_where(tmp_path: Path, run: Run) -> None:
         ("a", "a\n", False),
     ],
 )
-def test_texts_are_compared(expected: str, found: str, fits: bool) -> None:
-    assert matches(expected, found) is fits
+def test_texts_are_compared(pattern: str, text: str, fits: bool) -> None:
+    assert matches(pattern, text) is fits
 
 
-def test_commands_are_cut() -> None:
+def test_blocks_of_shells_are_split_into_commands() -> None:
     console = [(each.text, each.expected) for each in of_console("$ a \\\n> b\n1\n2\n$ c &\n$ d")]
     assert console == [("a b", "1\n2\n"), ("c &", ""), ("d", "")]
     shell = [(each.text, each.expected, each.line) for each in of_sh("# x\na   # y\n\nb \\\n  c\n")]

@@ -63,7 +63,7 @@ def test_the_first_block_of_a_page_runs_as_typed(path: Path, tmp_path: Path) -> 
         (tmp_path / each.lexemes["file"]).write_text(here(each.lexemes["source"]))
     if block.lexemes["language"] == "python":
         (tmp_path / "typed.py").write_text(here(source))
-        done = subprocess.run(
+        result = subprocess.run(
             [sys.executable, "-W", "error", "typed.py"],
             cwd=tmp_path,
             env={**os.environ, "PYTHONPATH": str(ROOT)},
@@ -72,7 +72,7 @@ def test_the_first_block_of_a_page_runs_as_typed(path: Path, tmp_path: Path) -> 
             timeout=LONGEST_S,
             check=False,
         )
-        assert (done.returncode, done.stderr) == (0, "")
+        assert (result.returncode, result.stderr) == (0, "")
         return
     shell = Shell(tmp_path, here, there)
     commands = of_console if block.lexemes["language"] == "console" else of_sh

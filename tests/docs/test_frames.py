@@ -18,17 +18,17 @@ ROW = re.compile(r"\| (\d+)(?:/\d+)? \| [^|]+ \| `([0-9A-F ]+)` \| `([0-9A-F ]+)
 Shown = tuple[str, str, str]  # kind, form, as it is written
 
 
-def shown() -> list[Shown]:
-    found: list[Shown] = []
+def frames() -> list[Shown]:
+    rows: list[Shown] = []
     for path in sorted(PAGES.glob("*.md")):
         for region in blocks(Document(path.read_text(), str(path))):
             if region.lexemes["language"] == "frame":
                 lines = region.lexemes["source"].strip().splitlines()
-                found += [(line[1], line[2], line[3]) for line in map(LINE.match, lines) if line]
+                rows += [(line[1], line[2], line[3]) for line in map(LINE.match, lines) if line]
                 assert len(lines) == len([line for line in lines if LINE.match(line)])
     for row in ROW.finditer((PAGES / "functions.md").read_text()):
-        found += [("request", "pdu", row[2]), ("response", "pdu", row[3])]
-    return found
+        rows += [("request", "pdu", row[2]), ("response", "pdu", row[3])]
+    return rows
 
 
 def as_bytes(form: str, text: str) -> bytes:
@@ -40,21 +40,21 @@ def vector(kind: str, form: str, text: str) -> FrameVector:
     return next(each for each in FRAMES if each.kind == kind and getattr(each, form) == data)
 
 
-@each_case("example", shown(), ids=" ".join)
+@each_case("example", frames(), ids=" ".join)
 def test_a_frame_is_a_worked_example(example: Shown) -> None:
     assert vector(*example)
 
 
-@each_case("example", [each for each in shown() if each[1] != "pdu"], ids=" ".join)
+@each_case("example", [each for each in frames() if each[1] != "pdu"], ids=" ".join)
 def test_the_package_makes_the_same_frame(example: Shown) -> None:
     kind, form, text = example
-    found = vector(*example)
+    row = vector(*example)
     role = "server" if kind == "request" else "client"
     framer = framing.make_framer(form, role)  # type: ignore[arg-type]
-    frame = found.tcp_frame if form == "tcp" else found.frame
+    frame = row.tcp_frame if form == "tcp" else row.frame
     assert framer.encode(frame) == as_bytes(form, text)
     assert [(each.unit, each.pdu) for each in framer.feed(as_bytes(form, text))] == [
-        (found.unit, found.pdu)
+        (row.unit, row.pdu)
     ]
 
 

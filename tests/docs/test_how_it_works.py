@@ -13,10 +13,10 @@ FOLDERS = ("", "libmodbus_py", "libmodbus_py/client", "libmodbus_py/server")
 
 
 def test_every_file_that_is_named_exists() -> None:
-    named = re.findall(r"`([\w/]+(?:\.py|\.c|/))`", PAGE)
-    assert len(named) >= 20
+    paths = re.findall(r"`([\w/]+(?:\.py|\.c|/))`", PAGE)
+    assert len(paths) >= 20
     missing = [
-        name for name in named if not any((ROOT / folder / name).exists() for folder in FOLDERS)
+        name for name in paths if not any((ROOT / folder / name).exists() for folder in FOLDERS)
     ]
     assert missing == []
 

@@ -33,14 +33,14 @@ def rows(tool: str) -> Iterator[tuple[str, list[str]]]:
 
 @pytest.mark.parametrize("tool", TOOLS)
 def test_every_option_of_ours_exists(tool: str) -> None:
-    known = {*parser_of("read").flags, *parser_of("write").flags}
-    found = list(rows(tool))
-    assert len(found) >= 8
-    for theirs, ours in found:
+    flags = {*parser_of("read").flags, *parser_of("write").flags}
+    options = list(rows(tool))
+    assert len(options) >= 8
+    for theirs, ours in options:
         for words in ours:
             for word in words.split():
                 if word.startswith("-") and not word[1:].isdigit():
-                    assert word in known, (theirs, word)
+                    assert word in flags, (theirs, word)
 
 
 @pytest.mark.parametrize("tool", TOOLS)

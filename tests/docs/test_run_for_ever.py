@@ -62,8 +62,8 @@ def test_a_loop_outlives_its_device(source: str, capsys: pytest.CaptureFixture[s
     source = re.sub(r'"tcp://[^"]*"', repr(URL), source).replace("every=1", "every=0.02")
     exec(BREAK.sub("if plant.is_over(values): break", source), {"plant": plant})
     printed = capsys.readouterr().out.splitlines()
-    said = [re.sub(r"( \[|:).*", "", line) for line in printed if "valves" not in line]
-    changes = [line for line, before in zip(said, ["", *said], strict=False) if line != before]
+    lines = [re.sub(r"( \[|:).*", "", line) for line in printed if "valves" not in line]
+    changes = [line for line, before in zip(lines, ["", *lines], strict=False) if line != before]
     assert changes == ["no level", "level", "no level", "level"]
     assert "cannot connect" in printed[0]
 
@@ -100,9 +100,9 @@ def test_after_an_error_the_next_request_connects_again() -> None:
         with pytest.raises(ModbusConnectionError):
             await plc.read_holding_registers(100, 1)
         async with Server(Device(Mapping(holding_registers={100: [555]}))).serving(url):
-            found = await plc.read_holding_registers(100, 1)
+            registers = await plc.read_holding_registers(100, 1)
             await plc.close()
-        return found
+        return registers
 
     assert asyncio.run(ask(URL)) == [555]
     plc = Client(URL)

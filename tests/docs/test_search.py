@@ -19,8 +19,8 @@ SEARCHING = runpy.run_path(str(SCRIPTS / "searching.py"))
 def headings(path: Path) -> dict[str, str]:
     """Return the headings of a page: anchor -> text."""
     text = re.sub(r"(?ms)^```.*?^```$", "", path.read_text())
-    found = re.findall(r"(?m)^#+ (.+)$", text)
-    return {re.sub(r"[^a-z0-9_]+", "-", each.lower()).strip("-"): each for each in found}
+    heads = re.findall(r"(?m)^#+ (.+)$", text)
+    return {re.sub(r"[^a-z0-9_]+", "-", each.lower()).strip("-"): each for each in heads}
 
 
 def page_of(location: str) -> Path:
@@ -53,8 +53,8 @@ def test_questions_are_many_and_lead_to_headings_that_exist() -> None:
 def test_each_question_finds_its_page_before_names_of_the_api() -> None:
     arranged = SEARCHING["arranged"](index(), ASKED)
     items = json.loads(arranged)["items"]
-    found = {words: SEARCHING["first"](items, words) for words in ASKED}
-    assert found == ASKED
+    pages = {words: SEARCHING["first"](items, words) for words in ASKED}
+    assert pages == ASKED
 
 
 def test_no_question_leads_to_the_api() -> None:

@@ -24,15 +24,15 @@ ROWS = [
 
 
 def test_each_component_requirement_stands_once() -> None:
-    found = [each for row in ROWS for each in re.findall(r"CR (\d+\.\d+)", row[0])]
-    wanted = [f"{group}.{number}" for group, all in REQUIREMENTS.items() for number in all]
-    assert sorted(found) == sorted(wanted)
+    numbers = [each for row in ROWS for each in re.findall(r"CR (\d+\.\d+)", row[0])]
+    requirements = [f"{group}.{number}" for group, all in REQUIREMENTS.items() for number in all]
+    assert sorted(numbers) == sorted(requirements)
 
 
 def test_what_is_met_names_a_test() -> None:
     assert {row[1] for row in ROWS} == {"met", "partly", "users", "not met"}
     for requirement, state, how in ROWS:
-        named = re.findall(r"`(tests/[\w/]+\.py)`", how)
-        assert bool(named) == (state == "met"), requirement
-        for name in named:
+        tests = re.findall(r"`(tests/[\w/]+\.py)`", how)
+        assert bool(tests) == (state == "met"), requirement
+        for name in tests:
             assert "def test_" in (ROOT / name).read_text(), name

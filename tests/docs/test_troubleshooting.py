@@ -14,8 +14,8 @@ import pytest
 from libmodbus_py import Client, ModbusError
 from tests.docs.documents import ROOT
 from tests.docs.python_blocks import matches
-from tests.support.peers import FakeServer, FakeUnit, dead, mbap, refusing, url_of
-from tests.support.talk import ascii_frame, rtu
+from tests.support.driver import ascii_frame, rtu
+from tests.support.peers import FakeServer, FakeUnit, mbap, mute_port, refusing, url_of
 
 PAGE = (ROOT / "docs" / "troubleshooting.md").read_text()
 NAMED = re.findall(r"^\| `(.*?)` \|", PAGE, re.MULTILINE)
@@ -90,7 +90,7 @@ OTHERS = {
 }
 
 
-def said(url: str, address: int = 107, count: int = 3) -> str:
+def output(url: str, address: int = 107, count: int = 3) -> str:
     with (
         pytest.raises((ModbusError, ValueError)) as caught,
         Client(url, unit=17, timeout=0.3) as plc,
@@ -111,9 +111,9 @@ def test_each_message_of_the_page_is_tried_here() -> None:
     ("scheme", "message", "came"),
     [("rtu", *case) for case in RTU.items()] + [("ascii", *case) for case in ASCII.items()],
 )
-def test_on_a_serial_line(scheme: str, message: str, came: Came) -> None:
+def test_errors_on_a_line_are_those_of_the_page(scheme: str, message: str, came: Came) -> None:
     with FakeUnit(lambda request: [came(request)]) as unit:
-        assert ends_so(message, said(f"{scheme}://{unit.path}"))
+        assert ends_so(message, output(f"{scheme}://{unit.path}"))
 
 
 @pytest.mark.parametrize(
@@ -122,9 +122,9 @@ def test_on_a_serial_line(scheme: str, message: str, came: Came) -> None:
     + [("rtu+tcp", *case) for case in LINE.items()]
     + [("tcp", "no answer within 0.3 s", lambda request: b"")],
 )
-def test_on_a_network(scheme: str, message: str, came: Came | None) -> None:
+def test_network_errors_are_those_of_the_page(scheme: str, message: str, came: Came | None) -> None:
     with FakeServer(came and (lambda request: [came(request)])) as server:
-        assert ends_so(message, said(f"{scheme}://127.0.0.1:{server.port}"))
+        assert ends_so(message, output(f"{scheme}://127.0.0.1:{server.port}"))
 
 
 HOLD = """
@@ -141,9 +141,9 @@ def port(path: str, number: int) -> str:
     return message.replace("/dev/ttyUSB0", path)
 
 
-def test_ports_that_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert ends_so(port("/dev/no-such-port", 0), said("rtu:///dev/no-such-port"))
-    assert ends_so(port("/dev/null", 4), said("rtu:///dev/null"))
+def test_errors_of_ports_are_those_of_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert ends_so(port("/dev/no-such-port", 0), output("rtu:///dev/no-such-port"))
+    assert ends_so(port("/dev/null", 4), output("rtu:///dev/null"))
     with FakeUnit(lambda request: []) as unit:
         url = f"rtu://{unit.path}"
         hold = HOLD.format(url)
@@ -155,25 +155,25 @@ def test_ports_that_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
             assert other.stdout.readline() == b"held\n"
             name = Path(f"/proc/{other.pid}/comm").read_text("utf-8").strip()
             text = port(unit.path, 2).replace("minicom (77)", f"{name} ({other.pid})")
-            assert ends_so(text, said(url))
+            assert ends_so(text, output(url))
             other.stdin.write(b"\n")
         with Client(url):
-            assert ends_so(port(unit.path, 3), said(url))
+            assert ends_so(port(unit.path, 3), output(url))
 
         def refuse(*_: object) -> int:
             raise PermissionError(13, "Permission denied")  # which root never sees
 
         monkeypatch.setattr(os, "open", refuse)
-        text = said(url)
+        text = output(url)
         monkeypatch.undo()
         assert ends_so(port(unit.path, 1), text)
 
 
-def test_hosts_that_cannot_be_reached(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_of_hosts_are_those_of_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
     with ExitStack() as stack:
-        assert ends_so("Connection refused", said(url_of(stack.enter_context(refusing()))))
+        assert ends_so("Connection refused", output(url_of(stack.enter_context(refusing()))))
         assert ends_so(
-            "Connection timed out", said(f"tcp://127.0.0.1:{stack.enter_context(dead())}")
+            "Connection timed out", output(f"tcp://127.0.0.1:{stack.enter_context(mute_port())}")
         )
 
     def unknown(*_: object, **__: object) -> None:
@@ -181,13 +181,13 @@ def test_hosts_that_cannot_be_reached(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(socket, "getaddrinfo", unknown)
     assert matches(
-        "...cannot resolve host 'no-such-host.invalid'...", said("tcp://no-such-host.invalid")
+        "...cannot resolve host 'no-such-host.invalid'...", output("tcp://no-such-host.invalid")
     )
 
 
 def test_arguments_are_looked_at_before_anything_is_sent() -> None:
     with FakeServer(None) as server:
         url = f"tcp://127.0.0.1:{server.port}"
-        assert ends_so("count must be in 1..125, not 126", said(url, 0, 126))
-        assert ends_so("address must be in 0..65535, not 65536", said(url, 65536, 1))
+        assert ends_so("count must be in 1..125, not 126", output(url, 0, 126))
+        assert ends_so("address must be in 0..65535, not 65536", output(url, 65536, 1))
         assert server.requests == []

@@ -29,7 +29,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import ModbusConnectionError
-from tests.support.leaks import LOOPS, Snapshot, settled
+from tests.support.leaks import LOOPS, Snapshot, remaining_leaks
 
 Error = Callable[[], Exception]
 
@@ -153,18 +153,18 @@ def _is_adding(frame: FrameType) -> bool:
 @contextlib.contextmanager
 def counting(kind: Kind, part: tuple[str, ...], count: int, make: Error) -> Iterator[Counting]:
     """Wrap the calls of a kind."""
-    made = Counting(kind, part, count, make)
+    counter = Counting(kind, part, count, make)
     with pytest.MonkeyPatch.context() as patch:
         for name in kind.names:
-            patch.setattr(kind.owner, name, _wrapped(made, getattr(kind.owner, name)))
-        yield made
+            patch.setattr(kind.owner, name, _wrapped(counter, getattr(kind.owner, name)))
+        yield counter
 
 
-def _wrapped(made: Counting, real: Callable[..., Any]) -> Callable[..., Any]:
-    def wrapped(*arguments: Any, **named: Any) -> Any:
-        if not ("fileno" in named or len(arguments) == FILENO):  # a socket that exists already
-            made.meet()
-        return real(*arguments, **named)
+def _wrapped(counter: Counting, real: Callable[..., Any]) -> Callable[..., Any]:
+    def wrapped(*arguments: Any, **options: Any) -> Any:
+        if not ("fileno" in options or len(arguments) == FILENO):  # a socket that exists already
+            counter.meet()
+        return real(*arguments, **options)
 
     # What stands in a class as a class, such as `_selector_cls`, is called without its owner.
     return staticmethod(wrapped) if isinstance(real, type) else wrapped
@@ -194,16 +194,16 @@ class Complaints(logging.Handler):
 @contextlib.contextmanager
 def complaints() -> Iterator[Complaints]:
     """Collect them."""
-    made = Complaints()
+    result = Complaints()
     logger = logging.getLogger("asyncio")
-    logger.addHandler(made)
+    logger.addHandler(result)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(threading, "excepthook", made.thread)
-        patch.setattr(sys, "unraisablehook", made.garbage)
+        patch.setattr(threading, "excepthook", result.thread)
+        patch.setattr(sys, "unraisablehook", result.garbage)
         try:
-            yield made
+            yield result
         finally:
-            logger.removeHandler(made)
+            logger.removeHandler(result)
 
 
 @dataclass
@@ -214,14 +214,14 @@ class Trial:
     problems: list[str] = field(default_factory=list)
 
     @contextlib.contextmanager
-    def faults(self, *allowed: type[BaseException]) -> Iterator[None]:
+    def faults(self, *errors: type[BaseException]) -> Iterator[None]:
         """Let the call fail in this block; ModbusConnectionError, or what is allowed, says so."""
         self.counting.is_armed = True
         try:
             yield
         except CONNECTION as error:
             self._check(error)
-        except allowed:
+        except errors:
             pass
         except BaseException as error:
             if self.counting.error is None:
@@ -256,14 +256,14 @@ def eventually(is_so: Callable[[], object]) -> bool:
     return True
 
 
-def tried(
+def try_faults(
     scenario: Scenario, *part: str, errors: int | None = None, without: str | None = None
 ) -> None:
     """
     Run a scenario with every fault there is; fail with all that went wrong, each with its fault.
     """
     begins = tuple(f"{PACKAGE}.{each}" if each else PACKAGE for each in part)
-    found: list[str] = []
+    problems: list[str] = []
     reached = 0
     scenario(Trial(Counting(KINDS[0], begins, 0, no_thread)))  # what is loaded once is loaded
     gc.collect()
@@ -273,31 +273,31 @@ def tried(
             continue
         for make in kind.errors[:errors]:
             count = 1
-            while _one(scenario, kind, begins, count, make, found):
+            while _one(scenario, kind, begins, count, make, problems):
                 reached += 1
                 count += 1
     assert reached, "no fault was reached"
-    assert not found, "\n".join(found)
+    assert not problems, "\n".join(problems)
 
 
 def _one(
-    scenario: Scenario, kind: Kind, part: tuple[str, ...], count: int, make: Error, found: list[str]
+    scenario: Scenario, kind: Kind, part: tuple[str, ...], count: int, make: Error, texts: list[str]
 ) -> bool:
     """Return whether there was such a call."""
     LOOPS.begin()
     before = Snapshot.taken()
-    with complaints() as told, counting(kind, part, count, make) as made:
-        trial = Trial(made)
+    with complaints() as complaints_, counting(kind, part, count, make) as counter:
+        trial = Trial(counter)
         try:
             scenario(trial)
         except (Exception, pytest.fail.Exception) as error:
             trial.problems.append(f"afterwards: {error!r} {_line_of(error)}")
-        if made.error is not None:
-            made.error.__traceback__ = None  # which holds what the package has given up
-        problems = [*trial.problems, *settled(before, LOOPS.names()), *told.texts]
-    where = f"{kind.name} {count}, {made.error!r} at {made.place}"
-    found += [f"{where}: {problem}" for problem in problems]
-    return made.error is not None
+        if counter.error is not None:
+            counter.error.__traceback__ = None  # which holds what the package has given up
+        problems = [*trial.problems, *remaining_leaks(before, LOOPS.names()), *complaints_.texts]
+    where = f"{kind.name} {count}, {counter.error!r} at {counter.place}"
+    texts += [f"{where}: {problem}" for problem in problems]
+    return counter.error is not None
 
 
 def _line_of(error: BaseException) -> str:

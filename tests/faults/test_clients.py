@@ -9,7 +9,7 @@ import pytest
 
 from libmodbus_py import AsyncClient, Client, ModbusError, ModbusTimeoutError
 from libmodbus_py.protocol import framing
-from tests.faults.injecting import Scenario, Trial, eventually, tried
+from tests.faults.injecting import Scenario, Trial, eventually, try_faults
 from tests.faults.test_servers import server
 from tests.support.certificates import Pki, secured
 from tests.support.names import resolve
@@ -47,7 +47,7 @@ def tcp(folder: Path) -> Iterator[str]:
 
 
 @contextlib.contextmanager
-def named(folder: Path) -> Iterator[str]:
+def host_name(folder: Path) -> Iterator[str]:
     with tcp(folder) as url, pytest.MonkeyPatch.context() as patched:
         resolve(patched, "device.example")
         yield url.replace("127.0.0.1", "device.example")
@@ -79,7 +79,7 @@ def rtu(folder: Path) -> Iterator[str]:
 
 PLACES: dict[str, Place] = {
     "tcp": tcp,
-    "named": named,
+    "named": host_name,
     "rtu+tcp": rtu_over_tcp,
     "udp": udp,
     "tls": tls,
@@ -141,4 +141,4 @@ def unblocked(url: str) -> Scenario:
 def test_a_client_says_what_failed_and_goes_on(kind: str, place: str, tmp_path: Path) -> None:
     with PLACES[place](tmp_path) as url:
         scenario = unblocked(url) if kind == "asyncio" else blocking(url)
-        tried(scenario, *PART)
+        try_faults(scenario, *PART)

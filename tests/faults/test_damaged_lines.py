@@ -18,8 +18,8 @@ TIMEOUT = 0.15
 
 @pytest.mark.parametrize("name", LINES)
 def test_no_fault_goes_unnoticed(name: str) -> None:
-    left = iter(range(150))
-    tally = on_a_line(name, TIMEOUT, 20, lambda: next(left, None) is not None)
+    numbers = iter(range(150))
+    tally = on_a_line(name, TIMEOUT, 20, lambda: next(numbers, None) is not None)
     assert tally.is_good, f"\n{tally}"
     assert tally.injected.total() > 0
     assert tally.errors.total() > 0
@@ -35,23 +35,23 @@ def test_what_is_injected_is_what_the_framing_can_notice() -> None:
             for kind in ("flip", "burst", "lose", "cut", "double", "delay"):
                 for _ in range(10):
                     pieces = FAULTS[kind](Hurt(frame, framing, chance))
-                    found = frames(framing, vector, [piece.data for piece in pieces])
-                    told = f"{vector.id} {framing} {kind}: {found}"
-                    assert set(found) <= {vector.frame}, told
-                    assert found or kind != "delay", told
+                    results = frames(framing, vector, [piece.data for piece in pieces])
+                    message = f"{vector.id} {framing} {kind}: {results}"
+                    assert set(results) <= {vector.frame}, message
+                    assert results or kind != "delay", message
 
 
 def frames(framing: Framing, vector: FrameVector, pieces: list[bytes]) -> list[Frame]:
     """Return the frames that the receiving side finds in these bytes."""
     role: Role = "server" if vector.kind == "request" else "client"
     framer: Framer = RtuFramer(role) if framing == "rtu" else AsciiFramer()
-    found = [each for piece in pieces for each in framer.scan(piece)] + framer.scan_silence()
-    return [each for each in found if isinstance(each, Frame)]
+    events = [each for piece in pieces for each in framer.scan(piece)] + framer.scan_silence()
+    return [each for each in events if isinstance(each, Frame)]
 
 
-def test_nothing_happens_unless_armed() -> None:
-    left = iter(range(100))
+def test_an_injector_that_is_off_changes_nothing() -> None:
+    numbers = iter(range(100))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(BadLine, "arm", lambda *_: None)
-        tally = on_a_line("RTU", 2, 3, lambda: next(left, None) is not None)
+        tally = on_a_line("RTU", 2, 3, lambda: next(numbers, None) is not None)
     assert (tally.done, tally.injected.total(), tally.errors.total()) == (100, 0, 0)

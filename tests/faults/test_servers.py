@@ -14,7 +14,7 @@ import pytest
 from libmodbus_py import Client, Device, Mapping, ModbusError, Server
 from libmodbus_py.protocol import framing
 from libmodbus_py.tools.testing.wires import open_line
-from tests.faults.injecting import Scenario, Trial, eventually, tried
+from tests.faults.injecting import Scenario, Trial, eventually, try_faults
 from tests.support.certificates import Pki
 
 PART = ("server", "ports", "device", "security")
@@ -49,11 +49,11 @@ def port_of(url: str) -> tuple[str, int]:
 
 def over(kind: socket.SocketKind) -> Ask:
     def ask(url: str) -> bytes:
-        with contextlib.suppress(OSError), socket.socket(socket.AF_INET, kind) as made:
-            made.settimeout(SHORT)
-            made.connect(port_of(url))
-            made.send(TCP_REQUEST)
-            return made.recv(300)
+        with contextlib.suppress(OSError), socket.socket(socket.AF_INET, kind) as client:
+            client.settimeout(SHORT)
+            client.connect(port_of(url))
+            client.send(TCP_REQUEST)
+            return client.recv(300)
         return b""
 
     return ask
@@ -116,12 +116,12 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("libmodbus_py.server.peers.RETRY_AFTER", 0.001)
 
 
-def test_a_tcp_server() -> None:
-    tried(serving("tcp://127.0.0.1:0", over(socket.SOCK_STREAM), TCP_ANSWER), *PART)
+def test_a_tcp_server_outlives_errors_of_the_system() -> None:
+    try_faults(serving("tcp://127.0.0.1:0", over(socket.SOCK_STREAM), TCP_ANSWER), *PART)
 
 
-def test_a_udp_server() -> None:
-    tried(serving("udp://127.0.0.1:0", over(socket.SOCK_DGRAM), TCP_ANSWER), *PART)
+def test_a_udp_server_outlives_errors_of_the_system() -> None:
+    try_faults(serving("udp://127.0.0.1:0", over(socket.SOCK_DGRAM), TCP_ANSWER), *PART)
 
 
 @pytest.fixture
@@ -133,16 +133,16 @@ def line() -> Iterator[tuple[int, str]]:
     os.close(near)
 
 
-def test_a_serial_server(line: tuple[int, str]) -> None:
+def test_a_serial_server_outlives_errors_of_the_system(line: tuple[int, str]) -> None:
     far, path = line
-    tried(serving(f"rtu://{path}?baudrate=115200", on_far_end(far), LINE_ANSWER), *PART)
+    try_faults(serving(f"rtu://{path}?baudrate=115200", on_far_end(far), LINE_ANSWER), *PART)
 
 
-def test_a_tls_server(tmp_path: Path) -> None:
+def test_a_tls_server_outlives_errors_of_the_system(tmp_path: Path) -> None:
     pki = Pki(tmp_path)
 
     def make() -> Server:
         return Server(server().devices, security=pki.server())
 
     ask = secured(pki)
-    tried(serving("tls://127.0.0.1:0", ask, TCP_ANSWER, make), "server", errors=1)
+    try_faults(serving("tls://127.0.0.1:0", ask, TCP_ANSWER, make), "server", errors=1)

@@ -20,7 +20,7 @@ from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.poller import DeviceState
 from libmodbus_py.tools.listener.listener import listen
 from libmodbus_py.tools.page.page import live_page
-from tests.faults.injecting import Scenario, Trial, eventually, tried
+from tests.faults.injecting import Scenario, Trial, eventually, try_faults
 from tests.faults.test_clients import Place, each_echoed, on_line, tcp, udp
 from tests.faults.test_servers import (
     LINE_ANSWER,
@@ -63,15 +63,15 @@ def passing(device: str) -> Scenario:
     return scenario
 
 
-def test_a_gateway_from_tcp_to_tcp() -> None:
+def test_a_gateway_from_tcp_to_tcp_outlives_errors_of_the_system() -> None:
     with FakeServer(each_echoed) as server:
-        tried(passing(f"{server.url}?timeout=0.02&max_pause=0"), *GATEWAY)
+        try_faults(passing(f"{server.url}?timeout=0.02&max_pause=0"), *GATEWAY)
 
 
-def test_a_gateway_from_tcp_to_a_serial_line() -> None:
+def test_a_gateway_to_a_serial_line_outlives_errors_of_the_system() -> None:
     with FakeUnit(on_line) as unit:
         url = f"rtu://{unit.path}?baudrate=115200&timeout=0.02&max_pause=0"
-        tried(passing(url), *GATEWAY)
+        try_faults(passing(url), *GATEWAY)
 
 
 ONE = RegisterMap([Point("value", "holding_registers", 5)])
@@ -95,9 +95,9 @@ def polling(urls: list[str], file: Path) -> Scenario:
                     await until(lambda: fleet.statistics.polls > 2 * len(urls))
                 polls = fleet.statistics.polls + 2 * len(urls)
                 (output,) = fleet.statistics.outputs.values()
-                written = output.written
+                count = output.written
                 await until(lambda: fleet.statistics.polls > polls and is_up(fleet))
-                await until(lambda: output.written > written)
+                await until(lambda: output.written > count)
                 with trial.faults():
                     await stack.aclose()
 
@@ -108,13 +108,13 @@ def is_up(fleet: Fleet) -> bool:
     return all(each.state is DeviceState.UP for each in fleet.devices.values())
 
 
-def test_a_fleet_on_networks_and_lines(tmp_path: Path) -> None:
+def test_a_fleet_outlives_errors_of_the_system(tmp_path: Path) -> None:
     with FakeServer(each_echoed) as server, FakeUnit(on_line) as unit:
         urls = [
             f"{server.url}?timeout={SHORT}&max_pause=0",
             f"rtu://{unit.path}?baudrate=115200&timeout={SHORT}&max_pause=0",
         ]
-        tried(polling(urls, tmp_path / "readings.jsonl"), "services.fleet", "client", "ports")
+        try_faults(polling(urls, tmp_path / "readings.jsonl"), "services.fleet", "client", "ports")
 
 
 def hearing(url: str, between: str | None, say: Callable[[str], None]) -> Scenario:
@@ -122,38 +122,38 @@ def hearing(url: str, between: str | None, say: Callable[[str], None]) -> Scenar
 
     def scenario(trial: Trial) -> None:
         with contextlib.ExitStack() as stack:
-            heard = None
+            listener = None
             with trial.faults():
-                heard = stack.enter_context(listen(url, between=between))
-                say(heard.url)
-            if heard is not None:
-                say(heard.url)
-                assert next(heard).unit == 1
+                listener = stack.enter_context(listen(url, between=between))
+                say(listener.url)
+            if listener is not None:
+                say(listener.url)
+                assert next(listener).unit == 1
             with trial.faults():
                 stack.close()
 
     return scenario
 
 
-def test_a_listener_on_a_line(line: tuple[int, str]) -> None:
+def test_a_listener_on_a_line_outlives_errors_of_the_system(line: tuple[int, str]) -> None:
     far, path = line
 
     def say(url: str) -> None:
         os.write(far, LINE_REQUEST + LINE_ANSWER)
 
-    tried(hearing(f"rtu://{path}?baudrate=115200", None, say), "tools.listener", "ports")
+    try_faults(hearing(f"rtu://{path}?baudrate=115200", None, say), "tools.listener", "ports")
 
 
 def is_passed_on(url: str) -> bool:
-    with contextlib.suppress(OSError), socket.socket() as made:
-        made.settimeout(SHORT)
-        made.connect(port_of(url))
-        made.send(LINE_REQUEST)
-        return made.recv(300) == LINE_ANSWER
+    with contextlib.suppress(OSError), socket.socket() as client:
+        client.settimeout(SHORT)
+        client.connect(port_of(url))
+        client.send(LINE_REQUEST)
+        return client.recv(300) == LINE_ANSWER
     return False
 
 
-def test_a_listener_between_clients_and_a_device() -> None:
+def test_a_tap_outlives_errors_of_the_system() -> None:
     def say(url: str) -> None:
         assert eventually(lambda: is_passed_on(url))
 
@@ -161,24 +161,24 @@ def test_a_listener_between_clients_and_a_device() -> None:
         between = f"rtu+tcp://127.0.0.1:{device.port}"
         scenario = hearing("rtu+tcp://127.0.0.1:0", between, say)
         # What listens can always be shut down, and that is what ends its thread.
-        tried(scenario, "tools.listener", "ports", without="shut down")
+        try_faults(scenario, "tools.listener", "ports", without="shut down")
 
 
 def got(url: str, path: str, until: bytes) -> bytes:
     """Return what comes for a request, up to some bytes in it."""
     where, _, token = url.partition("?")
     host, _, port = where.removeprefix("http://").strip("/").rpartition(":")
-    found = b""
-    with contextlib.suppress(OSError), socket.socket() as made:
-        made.settimeout(0.2)
-        made.connect((host, int(port)))
-        made.send(
+    answer = b""
+    with contextlib.suppress(OSError), socket.socket() as client:
+        client.settimeout(0.2)
+        client.connect((host, int(port)))
+        client.send(
             f"GET {path}?{token} HTTP/1.1\r\nHost: {host}:{port}\r\n"
             "Connection: close\r\n\r\n".encode()
         )
-        while until not in found and (data := made.recv(65_536)):
-            found += data
-    return found
+        while until not in answer and (data := client.recv(65_536)):
+            answer += data
+    return answer
 
 
 def is_shown(url: str) -> bool:
@@ -187,11 +187,11 @@ def is_shown(url: str) -> bool:
 
 def shown() -> Scenario:
     def scenario(trial: Trial) -> None:
-        shown = server()
-        with shown.background("tcp://127.0.0.1:0"), contextlib.ExitStack() as stack:
+        view = server()
+        with view.background("tcp://127.0.0.1:0"), contextlib.ExitStack() as stack:
             page = None
             with trial.faults(OSError):
-                page = stack.enter_context(live_page(shown))
+                page = stack.enter_context(live_page(view))
                 is_shown(page.url)
             if page is not None:
                 assert eventually(lambda: is_shown(page.url))
@@ -201,10 +201,10 @@ def shown() -> Scenario:
     return scenario
 
 
-def test_a_page_with_its_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pages_outlive_errors_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("libmodbus_py.tools.timed_server.SWEEP", 0.005)
     monkeypatch.setattr("libmodbus_py.tools.page.streams.PERIOD", 0.005)
-    tried(shown(), "tools.page")
+    try_faults(shown(), "tools.page")
 
 
 def unit(request: bytes) -> list[bytes]:
@@ -217,8 +217,8 @@ def unit(request: bytes) -> list[bytes]:
 
 @contextlib.contextmanager
 def rtu(folder: Path) -> Iterator[str]:
-    with FakeUnit(unit) as made:
-        yield f"rtu://{made.path}?baudrate=115200&parity=N"
+    with FakeUnit(unit) as peer:
+        yield f"rtu://{peer.path}?baudrate=115200&parity=N"
 
 
 PLACES: dict[str, Place] = {"tcp": tcp, "udp": udp, "rtu": rtu}
@@ -228,17 +228,17 @@ def finds(url: str) -> bool:
     return [each.unit for each in scan(url, units=[1], timeout=1)] == [1]
 
 
-def scanned(url: str) -> Scenario:
+def scanning(url: str) -> Scenario:
     def scenario(trial: Trial) -> None:
-        with trial.faults(), scan(url, units=[1], timeout=SHORT) as found:
-            for each in found:
+        with trial.faults(), scan(url, units=[1], timeout=SHORT) as units:
+            for each in units:
                 assert each.unit == 1
         assert eventually(lambda: finds(url))
 
     return scenario
 
 
-def searched(url: str) -> Scenario:
+def searching(url: str) -> Scenario:
     def scenario(trial: Trial) -> None:
         with trial.faults(), search(url, timeout=SHORT, most_requests=8) as extents:
             assert {each.table for each in extents} <= set(TABLES)
@@ -248,11 +248,11 @@ def searched(url: str) -> Scenario:
 
 
 @pytest.mark.parametrize("kind", PLACES)
-def test_a_scan(tmp_path: Path, kind: str) -> None:
+def test_a_scan_leaves_nothing_after_errors_of_the_system(tmp_path: Path, kind: str) -> None:
     with PLACES[kind](tmp_path) as url:
-        tried(scanned(url), *SCAN)
+        try_faults(scanning(url), *SCAN)
 
 
-def test_a_search(tmp_path: Path) -> None:
+def test_a_search_leaves_nothing_after_errors_of_the_system(tmp_path: Path) -> None:
     with udp(tmp_path) as url:
-        tried(searched(f"{url}?unit=1"), *SCAN, errors=1)
+        try_faults(searching(f"{url}?unit=1"), *SCAN, errors=1)

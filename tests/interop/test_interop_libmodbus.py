@@ -36,7 +36,7 @@ from tests.support.interop import (
     of_a_client,
     our_server,
     program,
-    tried,
+    try_cases,
 )
 
 EXAMPLES = Path("/usr/share/doc/libmodbus-dev/examples")
@@ -112,7 +112,7 @@ def test_what_libmodbus_lacks_is_refused_or_not_answered(
     compiled: Callable[[str], Path], transport: str, record_property: Record
 ) -> None:
     cases = of_a_client("libmodbus", transport, what_it_lacks(transport))
-    for check, exchange in tried(record_property, cases):
+    for check, exchange in try_cases(record_property, cases):
         patience = PATIENCE[exchange.name]
         with check, c_server(compiled("server"), transport, timeout=patience) as context:
             errors: Any = exchange.answer
@@ -169,7 +169,7 @@ def test_c_client_is_content_with_our_server(
         (case_id("libmodbus", "server", transport, function, "refused"), f"FC {function} refused")
         for function in C_CLIENT_REFUSALS
     ]
-    for check, line in tried(record_property, executed + refusals):
+    for check, line in try_cases(record_property, executed + refusals):
         with check:
             assert line in output
 

@@ -34,7 +34,7 @@ from tests.support.interop import (
     our_server,
     record,
     restore,
-    tried,
+    try_cases,
 )
 from tests.support.pymodbus_peers import FRAMERS, pymodbus_client
 from tests.support.transports import serving
@@ -330,7 +330,7 @@ def agree(case: Asked, client: Any, device: Device) -> None:
 @each_transport
 def test_pymodbus_client_and_our_server_agree(transport: str, record_property: Record) -> None:
     with our_servers(transport) as server:
-        for check, case in tried(record_property, named(asked(), transport)):
+        for check, case in try_cases(record_property, named(asked(), transport)):
             with check:
                 url, device = server(case)
                 with pymodbus_client(url) as client:
@@ -341,7 +341,7 @@ def test_pymodbus_client_and_our_server_agree(transport: str, record_property: R
 def test_pymodbus_client_sees_our_refusal_and_nothing_changes(transport: str, record_property):
     untouched = make_device()
     with our_servers(transport) as server:
-        for check, case in tried(record_property, named(asked_in_vain(), transport)):
+        for check, case in try_cases(record_property, named(asked_in_vain(), transport)):
             with check:
                 url, device = server(case)
                 with pymodbus_client(url) as client:

@@ -49,7 +49,7 @@ from tests.support.interop import (
     connected,
     exchanges,
     holding_register,
-    tried,
+    try_cases,
 )
 from tests.support.peers import until
 from tests.support.pymodbus_peers import pymodbus_serving
@@ -246,7 +246,7 @@ class TestWherePymodbusServerErrs:
             (case_id("pymodbus", "client", transport, function, "pinned"), function)
             for function in UNKNOWN_FUNCTIONS
         )
-        for check, function in tried(record_property, cases):
+        for check, function in try_cases(record_property, cases):
             # What an RTU server has not understood would precede the next request.
             with check, pymodbus_server(transport, timeout=UNHEARD[transport]) as context:
                 with pytest.raises(error) as caught:

@@ -29,10 +29,10 @@ from libmodbus_py import (
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.testing import SerialWire
+from tests.support.driver import rtu
 from tests.support.golden import Refused
 from tests.support.peers import LinePeer, until
 from tests.support.signals import in_child
-from tests.support.talk import rtu
 
 ANSWERS = {3: rtu("01 03 02 022B"), 4: rtu("01 04 02 022B")}
 SENT = "frame"

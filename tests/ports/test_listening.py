@@ -20,9 +20,9 @@ from libmodbus_py.ports.hosts import listen_on
 from libmodbus_py.ports.listening import Greeting
 from libmodbus_py.ports.options import greeting_of
 from tests.support.cases import each_case
+from tests.support.driver import rtu
 from tests.support.golden import Refused
 from tests.support.names import resolve
-from tests.support.talk import rtu
 
 HERE = ["127.1.2.3", "127.1.2.4"]
 

@@ -29,9 +29,9 @@ from libmodbus_py.ports.endpoint import parse_to_listen
 from tests.support.cases import each_case
 from tests.support.clients import ALL, asking
 from tests.support.commands import run
+from tests.support.driver import rtu
 from tests.support.peers import until
 from tests.support.signals import in_child
-from tests.support.talk import rtu
 
 IMEI = b"865123456789012"
 HEARTBEAT = b"www.usr.cn"

@@ -14,7 +14,7 @@ from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS, Scheme, Transport, s
 from libmodbus_py.ports.trace import Traced
 from tests.support.cases import each_case
 from tests.support.certificates import Pki
-from tests.support.talk import ascii_frame, rtu
+from tests.support.driver import ascii_frame, rtu
 from tests.support.urls import rules_of, url_for
 
 KNOWN: dict[Scheme, set[str]] = {

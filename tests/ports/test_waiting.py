@@ -29,7 +29,7 @@ from libmodbus_py.ports.waiting import (
 )
 from tests.support.cases import each_case
 from tests.support.names import NEEDS_IPV6, resolve
-from tests.support.peers import dead, until
+from tests.support.peers import mute_port, until
 
 Drive = Callable[[Steps[Any]], Any]
 
@@ -130,7 +130,11 @@ def addresses(monkeypatch: pytest.MonkeyPatch, *ports: int) -> None:
 def test_a_dead_address_leaves_the_others_their_share_of_the_time(monkeypatch) -> None:
     clock = SimpleNamespace(monotonic=lambda: 100.0)
     monkeypatch.setattr("libmodbus_py.ports.sockets.time", clock)
-    with dead() as port, dead() as other, socket.create_server(("127.0.0.1", 0)) as listener:
+    with (
+        mute_port() as port,
+        mute_port() as other,
+        socket.create_server(("127.0.0.1", 0)) as listener,
+    ):
         port_ = TcpPort("three-addresses.invalid", 502, None)
         steps = port_.opening(106.0)
         next(steps)
@@ -150,7 +154,7 @@ def test_a_dead_address_leaves_the_others_their_share_of_the_time(monkeypatch) -
 
 
 def test_all_addresses_together_take_no_longer_than_the_deadline(drive: Drive, monkeypatch) -> None:
-    with dead() as port:
+    with mute_port() as port:
         addresses(monkeypatch, port, port, port)
         start = time.monotonic()
         with pytest.raises(ModbusConnectionError, match="Connection timed out") as caught:
@@ -239,7 +243,7 @@ def woken_after(waker: Waker, condition: Callable[[], object] = lambda: True) ->
 
 
 def test_a_wake_ends_an_attempt_to_connect(waker: Waker) -> None:
-    with dead() as port, woken_after(waker):
+    with mute_port() as port, woken_after(waker):
         run(TcpPort("127.0.0.1", port, None).opening(soon(10)), waker)
 
 
@@ -290,7 +294,7 @@ def test_cancelling_closes_the_socket() -> None:
             await opening
         assert descriptors() == before
 
-    with dead() as port:
+    with mute_port() as port:
         asyncio.run(main(port))
 
 

@@ -19,7 +19,7 @@ from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.tools.listener.listener import logger as listeners
 from tests.services.fleet.fleets import simulated_run
 from tests.support.cases import each_case
-from tests.support.outputs import FakeOutput, pumped, reading
+from tests.support.outputs import FakeOutput, pump_all, reading
 
 URL = "tcp://127.0.0.1:1"
 
@@ -202,7 +202,7 @@ def test_every_logger_of_a_module_is_harmless() -> None:
 @pytest.mark.usefixtures("failing")
 def test_an_output_that_reports_a_failure_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
     output = FakeOutput(refused=("b",))
-    pump: Pump = simulated_run(pumped(output, [reading(device, "one") for device in "abc"]))
+    pump: Pump = simulated_run(pump_all(output, [reading(device, "one") for device in "abc"]))
     assert (pump.statistics.written, pump.statistics.dropped) == (2, 1)
     assert "the disk is full" in capsys.readouterr().err
 

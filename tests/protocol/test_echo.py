@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py.protocol.echo import Echo
-from tests.support.talk import little_kept, rtu
+from tests.support.driver import rtu, small_memory
 
 WRITE = rtu("01 06 0001 0003")  # its response is the same
 READ = rtu("01 03 0001 0001")
@@ -187,7 +187,7 @@ def test_another_connection_begins_again() -> None:
 @pytest.mark.parametrize("setting", [None, True])
 def test_what_never_comes_back_is_forgotten_in_the_end(setting: bool | None) -> None:
     """As broadcasts, to which nothing is ever received."""
-    with little_kept():
+    with small_memory():
         echo = Echo(setting)
         for value in range(10_000):
             echo.sent(rtu("00 06 0001") + value.to_bytes(2), is_telling=False)

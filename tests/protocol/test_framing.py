@@ -29,11 +29,11 @@ from tests.support.framing import (
     READ,
     REFUSAL,
     AnyFramer,
+    after_silence,
     ascii_frame,
     each_framer,
     mbap,
     pieces,
-    quiet,
     rtu,
     single_bytes,
     take,
@@ -246,7 +246,7 @@ class TestWhateverComes:
         for turn, piece in enumerate(pieces(stream, sizes)):
             frames, _ = take(framer, piece)
             if turn in silences:
-                frames += quiet(framer)
+                frames += after_silence(framer)
             for frame in frames:
                 assert 0 <= frame.unit <= 255
                 assert 1 <= len(frame.pdu) <= pdu.MAX_PDU

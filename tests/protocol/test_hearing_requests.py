@@ -6,7 +6,7 @@ bursts and damage.
 from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.protocol.framing import Frame, Overheard, RtuFramer
 from tests.support.cases import each_case
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 from tests.support.vectors import REQUESTS, RESPONSES, FrameVector, rows
 
 Found = list[Frame | FrameError]

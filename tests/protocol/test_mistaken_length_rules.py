@@ -19,10 +19,10 @@ from libmodbus_py import (
 from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.protocol.framing import Frame, RtuFramer
 from libmodbus_py.protocol.rtu import may_be
-from tests.simulation.stage import LineEnd, Stage
+from tests.simulation.lan import Lan, LineEnd
 from tests.support.cases import each_case
-from tests.support.framing import registered
-from tests.support.talk import rtu
+from tests.support.driver import rtu
+from tests.support.framing import registration
 
 READ, ANSWER = rtu("01 03 0000 0001"), rtu("01 03 02 0007")
 OWN, REFUSAL = rtu("01 6D 01 02"), rtu("01 ED 03")
@@ -47,7 +47,7 @@ RULES: dict[str, Callable[[bytes], Any]] = {
 def test_the_frames_behind_are_found(role: Any, rule: Callable[[bytes], Any]) -> None:
     """A server takes a whole burst for a request, which is refused."""
     good = READ if role == "server" else ANSWER
-    with registered(rule):
+    with registration(rule):
         framer = RtuFramer(role)
         results = framer.scan(OWN) + framer.scan_silence()
         assert any(isinstance(each, FrameError) for each in results) == (role == "client")
@@ -58,12 +58,12 @@ def test_the_frames_behind_are_found(role: Any, rule: Callable[[bytes], Any]) ->
 
 @each_case("rule", RULES.values(), ids=RULES)
 def test_a_request_with_such_a_rule_is_refused(rule: Callable[[bytes], Any]) -> None:
-    with registered(rule), pytest.raises(IllegalDataValue):
+    with registration(rule), pytest.raises(IllegalDataValue):
         pdu.decode_request(OWN[1:-2])
 
 
 def test_a_mistake_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
-    with registered(_fails):
+    with registration(_fails):
         for _ in range(3):
             RtuFramer("server").scan(OWN)
             may_be(OWN[1:-2])
@@ -74,31 +74,31 @@ def test_a_mistake_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
 
 
 @pytest.mark.parametrize("kind", ["server", "gateway"])
-def test_who_answers_on_a_line_goes_on(stage: Stage, kind: str) -> None:
+def test_who_answers_on_a_line_goes_on(lan: Lan, kind: str) -> None:
     device = Device(Mapping(holding_registers={0: [7]}))
     behind = "tcp://10.0.0.2:502" if kind == "gateway" else LINE
-    with registered(_fails), Server({1: device}).background(behind):
+    with registration(_fails), Server({1: device}).background(behind):
         gateway = Gateway([Route("tcp://10.0.0.2:502", units="1")])
         if kind == "server":
-            assert heard(stage) == REFUSAL + ANSWER
+            assert heard(lan) == REFUSAL + ANSWER
         else:
             with gateway.background(LINE):
-                assert heard(stage) == REFUSAL + ANSWER
+                assert heard(lan) == REFUSAL + ANSWER
 
 
-def heard(stage: Stage) -> bytes:
-    master = LineEnd(stage.line("/dev/line"))
+def heard(lan: Lan) -> bytes:
+    master = LineEnd(lan.line("/dev/line"))
     for data in (OWN, READ):
         master.write(data)
-        stage.pass_time(0.5)
+        lan.pass_time(0.5)
     return master.heard
 
 
-def test_a_client_on_a_line_goes_on(stage: Stage) -> None:
+def test_a_client_on_a_line_goes_on(lan: Lan) -> None:
     """The answers to its own class are lost, and nothing else."""
     device = Device(Mapping(holding_registers={0: [7]}))
     with (
-        registered(_fails) as own,
+        registration(_fails) as own,
         Server({1: device}).background(LINE),
         Client(LINE, unit=1, timeout=0.5) as context,
     ):

@@ -17,14 +17,14 @@ from tests.support.framing import (
     READ,
     REFUSAL,
     WRITE,
-    fed_in_bytes,
-    quiet,
-    registered,
+    after_silence,
+    feed_bytes,
+    frames_in,
+    frames_in_bytes,
+    registration,
     rtu,
     single_bytes,
     take,
-    taken,
-    taken_in_bytes,
 )
 
 
@@ -44,7 +44,7 @@ ENDLESS = [b"\x08\0\0", b"\x2b\x0d"]
 @pytest.fixture
 def own_class() -> Iterator[int]:
     """The code of a class that is known while the test runs; its third byte counts the rest."""
-    with registered(pdu.counted(2, at=1)) as own:
+    with registration(pdu.counted(2, at=1)) as own:
         yield own.function
 
 
@@ -73,18 +73,18 @@ class TestRtu:
         good = rtu(*frame[:2])
         framer = RtuFramer("client")
         for _ in range(2):
-            assert fed_in_bytes(framer, good) == [frame]
+            assert feed_bytes(framer, good) == [frame]
         short = Frame(17, b"\xab\x01")
         stream = good + rtu(*short[:2]) + good + rtu(*ANSWER[:2])
         assert take(framer, stream) == ([frame, short, frame, ANSWER], [])
         frames = take(framer, b"\xff\xff\xff" + good)[0]
-        assert frames + quiet(framer) == [frame]
+        assert frames + after_silence(framer) == [frame]
 
     @pytest.mark.parametrize("body", [b"\xab\1\2", b"\xac\x0e\2", b"\xab\x0e\2\0"])
     def test_other_exceptions_are_two_bytes(self, body: bytes) -> None:
         framer = RtuFramer("client")
         frames, _ = take(framer, rtu(17, body) + rtu(*ANSWER[:2]))
-        assert frames + quiet(framer) == [ANSWER]
+        assert frames + after_silence(framer) == [ANSWER]
 
     def test_server_takes_no_exceptions(self) -> None:
         framer = RtuFramer("server")
@@ -106,7 +106,7 @@ class TestRtu:
         assume(not accidental(stream, len(garbage)))
         framer = RtuFramer(role)
         frames, _ = take(framer, stream)
-        assert frames + quiet(framer) == [frame]
+        assert frames + after_silence(framer) == [frame]
         assert framer.pending == 0
         assert take(framer, good) == ([frame], [])
 
@@ -132,7 +132,7 @@ class TestRtu:
         bad[at] ^= 0x40
         frames: list[Frame] = []
         for data in (bytes(bad), rtu(*WRITE[:2])):
-            frames += take(framer, data)[0] + quiet(framer)
+            frames += take(framer, data)[0] + after_silence(framer)
         assert frames == [WRITE]
         assert take(framer, rtu(*WRITE[:2])) == ([WRITE], [])
 
@@ -161,9 +161,9 @@ class TestRtu:
         long = rtu(17, b"\x10\0\0\0\x40\x80" + bytes(128))
         framer = RtuFramer("server")
         assert framer.feed(long[:40]) == []
-        assert quiet(framer) == []
+        assert after_silence(framer) == []
         assert framer.feed(rtu(*READ[:2])) == []  # may still belong to the write
-        assert quiet(framer) == [READ]
+        assert after_silence(framer) == [READ]
         assert framer.pending == 0
 
     def test_unfinished_frame_outlives_a_silence(self) -> None:
@@ -178,14 +178,14 @@ class TestRtu:
         inner = rtu(17, b"\x06\x00\x01\x00\x03")
         outer = rtu(17, b"\x10\x00\x00\x00\x06\x0c" + inner + inner[:4])
         framer = RtuFramer("server")
-        assert fed_in_bytes(framer, outer) == [Frame(17, outer[1:-2])]
+        assert feed_bytes(framer, outer) == [Frame(17, outer[1:-2])]
         assert take(framer, outer + inner) == ([Frame(17, outer[1:-2]), WRITE], [])
 
     def test_frame_within_a_response_is_data(self) -> None:
         inner = rtu(17, b"\x83\x02")
         outer = rtu(17, b"\x03\x0a" + inner * 2)
         framer = RtuFramer("client")
-        assert fed_in_bytes(framer, outer) == [Frame(17, outer[1:-2])]
+        assert feed_bytes(framer, outer) == [Frame(17, outer[1:-2])]
 
     @each_case(
         ("head", "size"),
@@ -201,19 +201,19 @@ class TestRtu:
         assert not accidental(good[:-1], 1)
         framer = RtuFramer(role)
         for _ in range(2):  # right after silence, and right after a good frame
-            assert taken_in_bytes(framer, good) == [Frame(17, body)]
-        assert taken(framer, good * 3) == [Frame(17, body)] * 3
+            assert frames_in_bytes(framer, good) == [Frame(17, body)]
+        assert frames_in(framer, good * 3) == [Frame(17, body)] * 3
         write = rtu(*WRITE[:2])
-        assert taken(framer, write + good + write) == [WRITE, Frame(17, body), WRITE]
+        assert frames_in(framer, write + good + write) == [WRITE, Frame(17, body), WRITE]
 
     @each_case("noise", [b"\x00", b"\x11\x03\x00", b"\x11\x41"])
     @each_case("body", [b"\x41\x01\x02", *(head + b"\xa5\x37" for head in ENDLESS)])
     @each_case("role", ["client", "server"])
     def test_function_without_length_is_taken_after_a_silence(self, role, body, noise) -> None:
         framer = RtuFramer(role)
-        frames = take(framer, noise)[0] + quiet(framer)
+        frames = take(framer, noise)[0] + after_silence(framer)
         for _ in range(3):
-            frames += take(framer, rtu(17, body))[0] + quiet(framer)
+            frames += take(framer, rtu(17, body))[0] + after_silence(framer)
         assert frames == [Frame(17, body)] * 3
 
     @pytest.mark.parametrize("head", ENDLESS)
@@ -222,9 +222,9 @@ class TestRtu:
         framer = RtuFramer("server")
         frame = bytearray(rtu(17, head + b"\xa5\x37"))
         frame[-1] ^= 1
-        frames = take(framer, bytes(frame))[0] + quiet(framer)
+        frames = take(framer, bytes(frame))[0] + after_silence(framer)
         for _ in range(2):
-            frames += take(framer, rtu(*READ[:2]))[0] + quiet(framer)
+            frames += take(framer, rtu(*READ[:2]))[0] + after_silence(framer)
         assert frames == [READ] * 2
 
     @each_case("sub_function", [1, 4, 10, 11, 20, 21, 65535])
@@ -234,7 +234,7 @@ class TestRtu:
         early = head[1:] + crc16(head).to_bytes(2, "little")  # a CRC that fits, in the data
         whole = rtu(17, early)
         framer = RtuFramer(role)
-        assert fed_in_bytes(framer, whole) == [Frame(17, early)]
+        assert feed_bytes(framer, whole) == [Frame(17, early)]
 
     @pytest.mark.parametrize("role", ["client", "server"])
     def test_class_of_ones_own_is_read_by_its_rule(self, role: Any, own_class: int) -> None:
@@ -243,7 +243,7 @@ class TestRtu:
         early = head[1:] + crc16(head).to_bytes(2, "little") + b"\1\2"
         whole = rtu(17, early)
         framer = RtuFramer(role)
-        assert fed_in_bytes(framer, whole) == [Frame(17, early)]
+        assert feed_bytes(framer, whole) == [Frame(17, early)]
         assert take(framer, whole * 2) == ([Frame(17, early)] * 2, [])
         # And it is found behind garbage, which a code without a rule is not.
         results = [*framer.scan(b"\xff\xff\xff" + whole), *framer.scan_silence()]
@@ -257,12 +257,12 @@ class TestRtu:
             heads.append(head)
             return 4 + head[1] if len(head) > 1 else None
 
-        with registered(rule):
+        with registration(rule):
             framer = RtuFramer("server")
             frame = Frame(17, b"\x6d\2abcd")
             good = rtu(*frame[:2])
-            assert fed_in_bytes(framer, good) == [frame]
-            frames = take(framer, b"\xff\xff\xff" + good)[0] + quiet(framer)
+            assert feed_bytes(framer, good) == [frame]
+            frames = take(framer, b"\xff\xff\xff" + good)[0] + after_silence(framer)
             frames += take(framer, good + rtu(*READ[:2]))[0]
             assert frames == [frame, frame, READ]
             take(framer, b"\1\x6d\xff" + bytes(60))
@@ -281,10 +281,10 @@ class TestRtu:
         ],
     )
     def test_rules_beyond_a_message_find_nothing(self, rule: Any) -> None:
-        with registered(rule):
+        with registration(rule):
             framer = RtuFramer("client")
-            frames = take(framer, b"\1\x6d\1" + bytes(300))[0] + quiet(framer)
-            frames += take(framer, rtu(*ANSWER[:2]))[0] + quiet(framer)
+            frames = take(framer, b"\1\x6d\1" + bytes(300))[0] + after_silence(framer)
+            frames += take(framer, rtu(*ANSWER[:2]))[0] + after_silence(framer)
             assert frames == [ANSWER]
 
     def test_refusal_of_a_class_of_ones_own_is_found(self, own_class: int) -> None:
@@ -292,7 +292,7 @@ class TestRtu:
         framer = RtuFramer("client")
         assert take(framer, rtu(*refusal[:2]) * 2) == ([refusal] * 2, [])
         frames = take(framer, b"\xff\xff\xff" + rtu(*refusal[:2]))[0]
-        assert frames + quiet(framer) == [refusal]
+        assert frames + after_silence(framer) == [refusal]
 
     @each_case("count", [32, 124, 125, 126, 0x7FFF])
     def test_queue_longer_than_a_message_is_no_frame(self, count: int) -> None:
@@ -302,12 +302,12 @@ class TestRtu:
         framer = RtuFramer("client")
         frames, _ = take(framer, response)
         assert frames == ([Frame(17, response[1:-2])] if count <= 124 else [])
-        quiet(framer)
-        assert take(framer, rtu(*ANSWER[:2]))[0] + quiet(framer) == [ANSWER]
+        after_silence(framer)
+        assert take(framer, rtu(*ANSWER[:2]))[0] + after_silence(framer) == [ANSWER]
 
     def test_function_without_length_rule_or_crc_is_given_up(self) -> None:
         framer = RtuFramer("server")
         frames, errors = take(framer, b"\x11\x41" + bytes(264))
         assert frames == []
         assert errors
-        assert take(framer, rtu(*READ[:2]))[0] + quiet(framer) == [READ]
+        assert take(framer, rtu(*READ[:2]))[0] + after_silence(framer) == [READ]

@@ -8,10 +8,10 @@ import pytest
 
 from libmodbus_py import Client, Gateway, Route
 from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS
-from tests.simulation.stage import LineEnd, Stage
+from tests.simulation.lan import Lan, LineEnd
+from tests.support.driver import ascii_frame, rtu
 from tests.support.framing import NO_REQUESTS
-from tests.support.served import unit_one
-from tests.support.talk import ascii_frame, rtu
+from tests.support.lan_server import unit_one
 from tests.support.urls import url_for
 
 WRITE = rtu("01 06 0001 0003")
@@ -53,28 +53,28 @@ def pieces(data: bytes, count: int) -> list[bytes]:
 
 
 @contextmanager
-def saying(stage: Stage, url: str) -> Iterator[Callable[..., bytes]]:
+def saying(lan: Lan, url: str) -> Iterator[Callable[..., bytes]]:
     """Yield what writes something, in so many pieces, and returns what is answered."""
     if "/dev/line" in url:
-        master = LineEnd(stage.line("/dev/line"))
+        master = LineEnd(lan.line("/dev/line"))
 
         def say(data: bytes, count: int = 1) -> bytes:
             master.heard = b""
             for piece in pieces(data, count):
                 master.write(piece)
-                stage.pass_time(0.001)
-            stage.pass_time(2)
+                lan.pass_time(0.001)
+            lan.pass_time(2)
             return master.heard
 
         yield say
         return
-    with stage.talk(url) as client:
+    with lan.client(url) as client:
 
         def send(data: bytes, count: int = 1) -> bytes:
             for piece in pieces(data, count):
                 client.sendall(piece)
-                stage.pass_time(0.001)
-            stage.pass_time(2)
+                lan.pass_time(0.001)
+            lan.pass_time(2)
             answer = b""
             while client.has_input():
                 answer += client.recv(300)
@@ -93,10 +93,10 @@ def damaged(frame: bytes) -> bytes:
 @pytest.mark.parametrize(
     "scheme", [each for each, (code, rules) in LINES.items() if code is rtu and not rules.is_serial]
 )
-def test_answers_of_others_in_one_connection_count_no_error(stage: Stage, scheme: str) -> None:
+def test_answers_of_others_in_one_connection_count_no_error(lan: Lan, scheme: str) -> None:
     """As a serial device server passes them on that hears its own line."""
     url = place_on(scheme)
-    with unit_one(url) as (server, writes), saying(stage, url) as say:
+    with unit_one(url) as (server, writes), saying(lan, url) as say:
         for request, answer in TRAFFIC:
             assert say(request) == b""
             assert say(answer) == b""
@@ -106,15 +106,15 @@ def test_answers_of_others_in_one_connection_count_no_error(stage: Stage, scheme
 
 
 @pytest.mark.parametrize("pause", [0.0, 0.002, 0.03])
-def test_a_clean_line_with_other_units_counts_no_error(stage: Stage, pause: float) -> None:
+def test_a_clean_line_with_other_units_counts_no_error(lan: Lan, pause: float) -> None:
     with unit_one(LINE) as (server, writes):
-        master, other = LineEnd(stage.line("/dev/line")), LineEnd(stage.line("/dev/line"))
+        master, other = LineEnd(lan.line("/dev/line")), LineEnd(lan.line("/dev/line"))
         for request, answer in TRAFFIC:
             master.heard = b""
             for end, data in ((master, request), (other, answer), (master, READ)):
                 end.write(data)
-                stage.pass_time(max(pause, len(data) * 11 / 115200))
-            stage.pass_time(0.1)
+                lan.pass_time(max(pause, len(data) * 11 / 115200))
+            lan.pass_time(0.1)
             assert master.heard == answer + rtu("01 03 02 0000"), request.hex()
         assert writes == []
         assert server.statistics.bad_frames == 0
@@ -123,7 +123,7 @@ def test_a_clean_line_with_other_units_counts_no_error(stage: Stage, pause: floa
         for counter, count in ((0x0B, 3 * len(TRAFFIC) + 1), (0x0C, 0)):
             master.heard = b""
             master.write(rtu(f"01 08 00{counter:02X} 0000"))
-            stage.pass_time(0.1)
+            lan.pass_time(0.1)
             assert master.heard == rtu(f"01 08 00{counter:02X} {count:04X}")
 
 
@@ -132,11 +132,11 @@ def test_a_clean_line_with_other_units_counts_no_error(stage: Stage, pause: floa
     ("scheme", "count"), [*((each, 1) for each in LINES), *((each, 3) for each in STREAMS)]
 )
 def test_a_good_frame_that_is_no_request_is_neither_answered_nor_damage(
-    stage: Stage, scheme: str, count: int, is_gateway: bool
+    lan: Lan, scheme: str, count: int, is_gateway: bool
 ) -> None:
     """In one piece or in three; with a right CRC it is of another unit, or of no unit."""
     encode, url = LINES[scheme][0], place_on(scheme)
-    with unit_one(url, is_gateway=is_gateway) as (server, writes), saying(stage, url) as say:
+    with unit_one(url, is_gateway=is_gateway) as (server, writes), saying(lan, url) as say:
         for body, unit in itertools.product(NO_REQUESTS, (0, 1, 2)):
             assert say(encode(f"{unit:02X} {body}"), count) == b"", (body, unit)
             assert say(encode("01 03 0001 0001")) == encode("01 03 02 0000"), (body, unit)
@@ -146,9 +146,9 @@ def test_a_good_frame_that_is_no_request_is_neither_answered_nor_damage(
 
 
 @each_line
-def test_a_gateway_passes_on_no_frame_that_is_no_request(stage: Stage, scheme: str) -> None:
+def test_a_gateway_passes_on_no_frame_that_is_no_request(lan: Lan, scheme: str) -> None:
     encode, url = LINES[scheme][0], place_on(scheme)
-    with unit_one(url, is_gateway=True) as (gateway, _), saying(stage, url) as say:
+    with unit_one(url, is_gateway=True) as (gateway, _), saying(lan, url) as say:
         for body, unit in itertools.product([*NO_REQUESTS, "03 0001 0001"], (0, 1, 2)):
             say(encode(f"{unit:02X} {body}"))
         units = [each for line in gateway.traffic.lines.values() for each in line.units.values()]
@@ -157,33 +157,33 @@ def test_a_gateway_passes_on_no_frame_that_is_no_request(stage: Stage, scheme: s
 
 @each_stream
 @pytest.mark.parametrize("unit", [1, 2])
-def test_damage_with_a_refused_function_is_counted(stage: Stage, scheme: str, unit: int) -> None:
+def test_damage_with_a_refused_function_is_counted(lan: Lan, scheme: str, unit: int) -> None:
     """A function of 80h or more and a wrong CRC."""
     encode, url = LINES[scheme][0], place_on(scheme)
-    with unit_one(url) as (server, _), saying(stage, url) as say:
+    with unit_one(url) as (server, _), saying(lan, url) as say:
         assert say(damaged(encode(f"{unit:02X} 80"))) == b""
         assert say(encode("01 03 0001 0001")) == encode("01 03 02 0000")
         assert server.statistics.bad_frames == 1
 
 
-def test_a_gateway_hears_others_too(stage: Stage) -> None:
+def test_a_gateway_hears_others_too(lan: Lan) -> None:
     """It is a unit on a line here."""
     with unit_one(LINE, is_gateway=True) as (gateway, writes):
-        master, other = LineEnd(stage.line("/dev/line")), LineEnd(stage.line("/dev/line"))
+        master, other = LineEnd(lan.line("/dev/line")), LineEnd(lan.line("/dev/line"))
         for request, answer in TRAFFIC:
             for end, data in ((master, request), (other, answer)):
                 end.write(data)
-                stage.pass_time(0.03)
+                lan.pass_time(0.03)
         assert gateway.statistics.bad_frames == 0
         assert writes == []
         master.heard = b""
         master.write(READ)
-        stage.pass_time(0.5)
+        lan.pass_time(0.5)
         assert master.heard == rtu("01 03 02 0000")
 
 
 @pytest.mark.parametrize("head", ["08 0000", "2B 0D", "41"])
-def test_a_frame_in_a_request_is_not_written_through_a_gateway(stage: Stage, head: str) -> None:
+def test_a_frame_in_a_request_is_not_written_through_a_gateway(lan: Lan, head: str) -> None:
     """Nothing but reads and loopbacks may pass; the units behind are on one line."""
     route = Route("rtu:///dev/line?baudrate=115200&timeout=0.1", read_only=True)
     with (
@@ -194,7 +194,7 @@ def test_a_frame_in_a_request_is_not_written_through_a_gateway(stage: Stage, hea
         for unit in (1, 2):
             # Where the CRC fits for the first time, a write begins.
             body = rtu(f"{unit:02X}{head}")[1:] + WRITE * 5
-            with stage.talk(running.urls[0]) as client:
+            with lan.client(running.urls[0]) as client:
                 client.sendall(bytes([0, 1, 0, 0, 0, len(body) + 1, unit]) + body)
                 assert len(client.receive(9)) == 9
         assert context.for_unit(1).read_holding_registers(1, 1) == [0]
@@ -203,10 +203,10 @@ def test_a_frame_in_a_request_is_not_written_through_a_gateway(stage: Stage, hea
 
 
 @each_line
-def test_a_loopback_that_holds_a_write_comes_back_whole(stage: Stage, scheme: str) -> None:
+def test_a_loopback_that_holds_a_write_comes_back_whole(lan: Lan, scheme: str) -> None:
     encode, url = LINES[scheme][0], place_on(scheme)
     write = encode("01 06 0001 0003")
-    with unit_one(url) as (server, writes), saying(stage, url) as say:
+    with unit_one(url) as (server, writes), saying(lan, url) as say:
         for data in (b"\1\2", write * 2, write * 10):
             frame = encode("01 08 0000" + data.hex())
             assert say(frame) == frame
@@ -216,19 +216,19 @@ def test_a_loopback_that_holds_a_write_comes_back_whole(stage: Stage, scheme: st
 
 @each_stream
 @pytest.mark.parametrize("is_gateway", [False, True])
-def test_only_the_last_of_the_requests_that_wait_is_answered(stage: Stage, scheme: str, is_gateway):
+def test_only_the_last_of_the_requests_that_wait_is_answered(lan: Lan, scheme: str, is_gateway):
     """All came before the server could look: whoever sent another one has given up the first."""
     frame, url = LINES[scheme][0], place_on(scheme)
     requests = [frame(f"01 06 0001 {number:04X}") for number in (5, 6, 7)]
-    with unit_one(url, is_gateway=is_gateway) as (_, writes), saying(stage, url) as say:
+    with unit_one(url, is_gateway=is_gateway) as (_, writes), saying(lan, url) as say:
         assert say(b"".join(requests)) == frame("01 06 0001 0007")
         assert writes[-1].values == (7,)
 
 
 @each_stream
-def test_a_request_to_another_unit_takes_back_the_answer_that_waits(stage: Stage, scheme: str):
+def test_a_request_to_another_unit_takes_back_the_answer_that_waits(lan: Lan, scheme: str):
     frame, url = LINES[scheme][0], place_on(scheme)
     mine, other = frame("01 03 0001 0001"), frame("02 03 0000 0001")
-    with unit_one(url), saying(stage, url) as say:
+    with unit_one(url), saying(lan, url) as say:
         assert say(mine + other) == b""
         assert say(mine + other + mine) == frame("01 03 02 0000")

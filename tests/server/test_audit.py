@@ -38,7 +38,7 @@ from libmodbus_py.server import audit
 from tests.support import certificates
 from tests.support.cases import each_case
 from tests.support.certificates import Pki
-from tests.support.events import Events, named, whose
+from tests.support.events import Events, certificate_fields, identity_fields
 from tests.support.names import NEEDS_IPV6
 from tests.support.peers import until
 
@@ -239,13 +239,13 @@ def test_the_life_of_a_server_and_of_a_client_with_a_certificate_are_recorded(
         ("ended", "certificate revoked", "Operator"),
         ("handshake", "certificate revoked", None),
     ]
-    assert {whose(each) for each in events} == {named(operator)}
+    assert {identity_fields(each) for each in events} == {certificate_fields(operator)}
     assert [(each.event, each.result) for each in events.own] == [
         ("start", url),
         ("renewed", url),
         ("stop", url),
     ]
-    assert whose(events.own[1]) == named(renewed)
+    assert identity_fields(events.own[1]) == certificate_fields(renewed)
 
 
 @pytest.mark.parametrize("transport", ["tcp", "udp"])

@@ -19,7 +19,7 @@ from tests.support.chunks import (
     bodies,
     contents,
     in_pieces,
-    made_device,
+    make_device,
     mask_writes,
     notes,
     read_writes,
@@ -44,7 +44,7 @@ def test_c_and_python_give_the_same_answers_and_counters(
 ) -> None:
     ends = []
     for kind in ("chunk", "frames"):
-        first, second = made_device(HOLES), made_device()
+        first, second = make_device(HOLES), make_device()
         end = End(first if one_for_all else {1: first, 2: second}, kind)
         for piece in in_pieces(stream, cuts):
             end.receive(piece)
@@ -62,8 +62,8 @@ def test_c_and_python_answer_single_requests_alike(pairs: list[tuple[bytes, int]
     """Together, as in one turn of the server; one of them may send a part, and then the rest."""
     states = []
     for kind in ("chunk", "frames"):
-        third = made_device(before_write=lambda access: None)
-        devices = {1: made_device(), 2: made_device(), 3: third}
+        third = make_device(before_write=lambda access: None)
+        devices = {1: make_device(), 2: make_device(), 3: third}
         ends = [End(devices, kind) for _ in pairs]
         if kind == "chunk":
             for end in ends:
@@ -98,7 +98,7 @@ TABLE_OF = {1: "coils", 5: "coils", 15: "coils", 2: "discrete_inputs", 4: "input
 def test_holes_are_answered_with_exception_2_and_stay_as_they_are(body: bytes) -> None:
     """Other reasons for a refusal take precedence."""
     everything = Device(Mapping(65536, 65536, 65536, 65536))
-    devices = [made_device(HOLES), made_device(HOLES, before_write=lambda access: None)]
+    devices = [make_device(HOLES), make_device(HOLES, before_write=lambda access: None)]
     table = getattr(devices[0].mapping, TABLE_OF.get(body[0], "holding_registers"))
     exists = {address for each in table.ranges for address in each}
     good = not everything.answer(body)[0] & 0x80
@@ -124,7 +124,7 @@ def test_c_and_python_treat_bytes_that_are_no_requests_alike(data: bytes, cuts: 
     stream = adu(b"\x03\0\x07\0\x01", 1) + data
     ends = []
     for kind in ("chunk", "frames"):
-        end = End({1: made_device()}, kind)
+        end = End({1: make_device()}, kind)
         for piece in in_pieces(stream, cuts):
             end.receive(piece)
         ends.append((bytes(end.sent), end.is_open, end.statistics.requests))
@@ -135,7 +135,7 @@ def test_the_event_log_has_the_latest_of_many_requests() -> None:
     """64 events are 32 requests; which of them were refused has no short period."""
     states = []
     for kind in ("chunk", "frames"):
-        device = made_device()
+        device = make_device()
         end = End({1: device}, kind)
         for number in range(100):
             address = 7 if number % 7 and number % 5 else 0
@@ -235,7 +235,7 @@ def test_nothing_beside_a_table_is_touched_whatever_libmodbus_checks(
 
 def test_more_answers_than_one_call_has_room_for() -> None:
     """A thousand of the longest answers are 259 000 bytes."""
-    device = made_device()
+    device = make_device()
     end = End(device, "chunk")
     end.receive(b"".join(adu(b"\x03\0\x07\0\x7d", number) for number in range(1000)))
     answer = device.answer(b"\x03\0\x07\0\x7d")

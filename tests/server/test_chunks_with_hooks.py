@@ -20,7 +20,7 @@ from tests.support.chunks import (
     contents,
     in_pieces,
     in_words,
-    made_device,
+    make_device,
     notes,
     streams,
 )
@@ -39,7 +39,7 @@ def test_hooks_change_no_answer(stream: bytes, cuts: list[int], holds: Any) -> N
     accesses: list[Access] = []
     ends = []
     for hooks in ({}, {"before_read": accesses.append, "before_write": accesses.append}):
-        device = made_device(holds, **hooks)
+        device = make_device(holds, **hooks)
         end = End({1: device}, "chunk")
         for piece in in_pieces(stream, cuts):
             end.receive(piece)
@@ -136,7 +136,7 @@ def hooked(ranges: dict[str, Any], functions: set[Any], calls: Told) -> Device:
         for name, where in ranges.items()
         if where is not None
     }
-    device = made_device(SMALL, handlers=dict.fromkeys(functions, handle), **hooks)
+    device = make_device(SMALL, handlers=dict.fromkeys(functions, handle), **hooks)
     return device
 
 
@@ -208,7 +208,7 @@ def test_hooks_get_accesses_to_their_places(stream: bytes, ranges: dict[str, Any
 
             if where is not None:
                 hooks[name] = note if where == "all" else Hook(note, **where)
-        end = End({1: made_device(SMALL, **hooks)}, "chunk")
+        end = End({1: make_device(SMALL, **hooks)}, "chunk")
         end.receive(stream)
         calls.append(events)
     assert calls[0] == [each for each in calls[1] if is_wanted(ranges[each[0]], each[1])]
@@ -332,12 +332,12 @@ def in_one_turn(devices: Any, requests: list[bytes], connections: int) -> list[b
 @TOGETHER
 def test_a_hook_changes_what_the_next_request_of_the_turn_reads(connections: int) -> None:
     """The third of five needs Python, between units, and with one to the server itself."""
-    first, second = made_device(), made_device()
+    first, second = make_device(), make_device()
 
     def change(access: Access) -> None:
         first.mapping.holding_registers[7] = second.mapping.holding_registers[7] = 99
 
-    first = made_device(before_write=Hook(change, holding_registers=range(100, 101)))
+    first = make_device(before_write=Hook(change, holding_registers=range(100, 101)))
     read, write = b"\3" + in_words(7, 1), b"\6" + in_words(100, 5)
     bodies = [(read, 1), (read, 2), (write, 1), (read, 0), (read, 2)]
     bodies_ = in_one_turn(

@@ -9,12 +9,12 @@ import pytest
 from libmodbus_py import Client, Device, Mapping, Server
 from libmodbus_py.serve import Fault
 from libmodbus_py.tools.testing.wires import SerialWire
+from tests.simulation.lan import Lan, LineEnd
 from tests.simulation.lines import SerialLine
-from tests.simulation.stage import LineEnd, Stage
 from tests.support.contexts import context_at
+from tests.support.driver import ascii_frame, rtu
+from tests.support.lan_server import unit_one
 from tests.support.peers import LinePeer, Write, until
-from tests.support.served import unit_one
-from tests.support.talk import ascii_frame, rtu
 
 FRAMES = {"rtu": rtu, "ascii": ascii_frame}
 WRITES = ["01 05 0001 FF00", "01 06 0001 0003", "01 16 0001 00FF 0000", "01 08 0000 A537"]
@@ -29,13 +29,13 @@ class Echoing:
 
     def __init__(
         self,
-        stage: Stage,
+        lan: Lan,
         line: SerialLine,
         stray: tuple[bytes, bytes] = STRAYS[0],
         late: float = 0.0,
     ) -> None:
         self._late = late
-        self._stage = stage
+        self._lan = lan
         self._line = line
         self._stray = stray
         self._write = line.write
@@ -46,22 +46,20 @@ class Echoing:
         if not isinstance(sender, LineEnd):
             later = len(data) * self._line.character + self._late
             before, behind = self._stray
-            self._stage.events.at(
-                self._stage.events.now + later, sender.hear, before + data + behind
-            )
+            self._lan.events.at(self._lan.events.now + later, sender.hear, before + data + behind)
 
 
 class Converter:
     """A connection whose other end returns all that it receives, after a time."""
 
-    def __init__(self, stage: Stage, way: float) -> None:
-        end, _ = stage.connect("10.0.0.1", 502)
+    def __init__(self, lan: Lan, way: float) -> None:
+        end, _ = lan.connect("10.0.0.1", 502)
         assert end is not None
         self.heard = b""
         self._end = end
-        self._stage = stage
+        self._lan = lan
         self._way = way
-        stage.pass_time(0.1)
+        lan.pass_time(0.1)
         end.on_input = self._return
 
     def write(self, data: bytes) -> None:
@@ -74,7 +72,7 @@ class Converter:
     def _return(self) -> None:
         while self._end.is_readable and (data := self._end.recv(4096)):
             self.heard += data
-            self._stage.events.after(self._way, self._end.send, data)
+            self._lan.events.after(self._way, self._end.send, data)
 
 
 def warnings(caplog: pytest.LogCaptureFixture) -> list[str]:
@@ -87,27 +85,27 @@ def warnings(caplog: pytest.LogCaptureFixture) -> list[str]:
 @pytest.mark.parametrize("stray", STRAYS)
 @pytest.mark.parametrize("is_set", [False, True])
 def test_writes_are_carried_out_once(
-    stage: Stage, scheme, is_gateway, request_, stray, is_set, caplog
+    lan: Lan, scheme, is_gateway, request_, stray, is_set, caplog
 ) -> None:
     """From the first on if the echo is set; else from the first read on, which shows it."""
     frame = FRAMES[scheme]
     url = f"{scheme}://{LINE}{'&echo=1' if is_set else ''}"
     with unit_one(url, is_gateway=is_gateway) as (server, writes):
-        Echoing(stage, stage.line("/dev/line"), stray)
-        master = LineEnd(stage.line("/dev/line"))
+        Echoing(lan, lan.line("/dev/line"), stray)
+        master = LineEnd(lan.line("/dev/line"))
         if not is_set:
             master.write(frame(READ))
-            stage.pass_time(1)
+            lan.pass_time(1)
             assert master.heard == frame(READ_BACK)
         for count in (1, 2, 3):
             master.heard = b""
             master.write(frame(request_))
-            stage.pass_time(1)
+            lan.pass_time(1)
             assert master.heard == frame(request_)
             assert len(writes) == count * (request_[3:5] != "08")
         master.heard = b""
         master.write(frame(READ))
-        stage.pass_time(1)
+        lan.pass_time(1)
         assert len(master.heard) == len(frame(READ_BACK))
         assert server.statistics.echoes == (0 if is_set else 1)
         if stray == STRAYS[0]:
@@ -124,24 +122,24 @@ def test_writes_are_carried_out_once(
 @pytest.mark.parametrize("way", [0.0005, 0.02, 0.1])
 @pytest.mark.parametrize("count", [1, 3])
 def test_an_echo_over_tcp_is_found_beside_writes_that_go_round(
-    stage: Stage, scheme: str, telling: str, way: float, count: int
+    lan: Lan, scheme: str, telling: str, way: float, count: int
 ) -> None:
     frame = FRAMES[scheme]
     with unit_one(f"{scheme}+tcp://{TCP}") as (server, writes):
-        end = Converter(stage, way)
+        end = Converter(lan, way)
         for _ in range(count):
             end.write(frame(WRITES[1]))
-            stage.pass_time(way / 4)
-        stage.pass_time(1)
+            lan.pass_time(way / 4)
+        lan.pass_time(1)
         assert len(writes) > count
         assert server.statistics.echoes == 0
         end.write(frame(telling))
-        stage.pass_time(1)
+        lan.pass_time(1)
         assert server.statistics.echoes == 1
         writes.clear()
         for _ in range(3):
             end.write(frame(WRITES[1]))
-            stage.pass_time(1)
+            lan.pass_time(1)
         assert len(writes) == 3
 
 
@@ -151,17 +149,17 @@ def test_an_echo_over_tcp_is_found_beside_writes_that_go_round(
 @pytest.mark.parametrize("late", [0.0, 0.016])
 @pytest.mark.parametrize("stray", STRAYS)
 def test_a_line_on_which_nothing_was_read_carries_out_writes_once(
-    stage: Stage, scheme, baudrate, late, stray, is_gateway, caplog
+    lan: Lan, scheme, baudrate, late, stray, is_gateway, caplog
 ) -> None:
     """USB adapters keep bytes for up to 16 ms. Nothing was read, which would show the echo."""
     frame = FRAMES[scheme]
     url = f"{scheme}:///dev/line?baudrate={baudrate}"
     with unit_one(url, is_gateway=is_gateway) as (server, writes):
-        Echoing(stage, stage.line("/dev/line"), stray, late)
-        master = LineEnd(stage.line("/dev/line"))
+        Echoing(lan, lan.line("/dev/line"), stray, late)
+        master = LineEnd(lan.line("/dev/line"))
         for count in (1, 2, 3):
             master.write(frame(WRITES[1]))
-            stage.pass_time(2)
+            lan.pass_time(2)
             assert len(writes) == count
         assert server.statistics.echoes == 1
         # One byte of another answer asked the line.
@@ -175,16 +173,16 @@ def test_a_line_on_which_nothing_was_read_carries_out_writes_once(
 @pytest.mark.parametrize("scheme", FRAMES)
 @pytest.mark.parametrize("request_", WRITES)
 def test_the_same_write_again_at_once_is_carried_out_again(
-    stage: Stage, scheme: str, request_: str, is_gateway: bool
+    lan: Lan, scheme: str, request_: str, is_gateway: bool
 ) -> None:
     frame = FRAMES[scheme]
     with unit_one(f"{scheme}://{LINE}", is_gateway=is_gateway) as (server, writes):
-        master = LineEnd(stage.line("/dev/line"))
+        master = LineEnd(lan.line("/dev/line"))
         for count in range(1, 6):
             master.write(frame(request_))
             while len(master.heard) < count * len(frame(request_)):
-                stage.pass_time(0.001)
-            stage.pass_time(0.004)
+                lan.pass_time(0.001)
+            lan.pass_time(0.004)
         assert master.heard == frame(request_) * 5
         assert len(writes) == 5 * (request_[3:5] != "08")
         assert server.statistics.echoes == 0
@@ -192,133 +190,133 @@ def test_the_same_write_again_at_once_is_carried_out_again(
 
 
 @pytest.mark.parametrize("scheme", FRAMES)
-def test_an_echo_that_comes_very_late_is_found_by_a_read(stage: Stage, scheme: str) -> None:
+def test_an_echo_that_comes_very_late_is_found_by_a_read(lan: Lan, scheme: str) -> None:
     frame = FRAMES[scheme]
     with unit_one(f"{scheme}://{LINE}") as (server, writes):
-        Echoing(stage, stage.line("/dev/line"), late=0.2)
-        master = LineEnd(stage.line("/dev/line"))
+        Echoing(lan, lan.line("/dev/line"), late=0.2)
+        master = LineEnd(lan.line("/dev/line"))
         master.write(frame(WRITES[1]))
-        stage.pass_time(1)
+        lan.pass_time(1)
         assert len(writes) > 1
         for _ in range(3):  # it may meet an answer on the line
             master.write(frame(READ))
-            stage.pass_time(1)
+            lan.pass_time(1)
         assert server.statistics.echoes == 1
         writes.clear()
         master.write(frame(WRITES[1]))
-        stage.pass_time(1)
+        lan.pass_time(1)
         assert len(writes) == 1
 
 
-def test_noise_while_the_line_is_asked_is_no_echo(stage: Stage) -> None:
+def test_noise_while_the_line_is_asked_is_no_echo(lan: Lan) -> None:
     with unit_one(f"rtu://{LINE}") as (server, writes):
-        master = LineEnd(stage.line("/dev/line"))
+        master = LineEnd(lan.line("/dev/line"))
         write = rtu(WRITES[1])
         for data in (write, write):
             master.write(data)
-            stage.pass_time(0.03)
-        stage.pass_time(0.02)
+            lan.pass_time(0.03)
+        lan.pass_time(0.02)
         assert master.heard == write + write[:1]
         master.write(b"\xff")
-        stage.pass_time(0.1)
+        lan.pass_time(0.1)
         assert master.heard == write * 2
         assert len(writes) == 2
         assert server.statistics.echoes == 0
 
 
-def test_a_server_that_is_closed_while_it_asks_the_line(stage: Stage) -> None:
+def test_a_server_that_is_closed_while_it_asks_the_line(lan: Lan) -> None:
     with unit_one(f"rtu://{LINE}") as (_, writes):
-        master = LineEnd(stage.line("/dev/line"))
+        master = LineEnd(lan.line("/dev/line"))
         for _ in range(2):
             master.write(rtu(WRITES[1]))
-            stage.pass_time(0.03)
+            lan.pass_time(0.03)
         assert len(writes) == 1
-    stage.pass_time(1)
+    lan.pass_time(1)
     assert len(writes) == 1
 
 
 @pytest.mark.parametrize("scheme", FRAMES)
-def test_an_echo_over_tcp_that_is_set(stage: Stage, scheme, caplog) -> None:
+def test_an_echo_over_tcp_that_is_set(lan: Lan, scheme, caplog) -> None:
     frame = FRAMES[scheme]
     with unit_one(f"{scheme}+tcp://{TCP}?echo=1") as (server, writes):
-        end = Converter(stage, 0.02)
+        end = Converter(lan, 0.02)
         for _ in range(3):
             end.write(frame(WRITES[1]))
-            stage.pass_time(1)
+            lan.pass_time(1)
         assert len(writes) == 3
         assert server.statistics.echoes == 0
     assert not warnings(caplog)
 
 
-def test_nothing_is_looked_for_where_it_is_set_that_there_is_no_echo(stage: Stage) -> None:
+def test_nothing_is_looked_for_where_it_is_set_that_there_is_no_echo(lan: Lan) -> None:
     for url in (f"rtu://{LINE}&echo=0", f"rtu+tcp://{TCP}?echo=0"):
         with unit_one(url) as (server, _):
-            Echoing(stage, stage.line("/dev/line"))
-            end = LineEnd(stage.line("/dev/line")) if "line" in url else Converter(stage, 0.01)
+            Echoing(lan, lan.line("/dev/line"))
+            end = LineEnd(lan.line("/dev/line")) if "line" in url else Converter(lan, 0.01)
             for _ in range(3):
                 end.write(rtu(READ))
-                stage.pass_time(1)
+                lan.pass_time(1)
             assert server.statistics.echoes == 0
             assert server.statistics.requests == 3
 
 
-def test_connections_with_an_echo_are_all_counted_and_logged_once(stage: Stage, caplog) -> None:
+def test_connections_with_an_echo_are_all_counted_and_logged_once(lan: Lan, caplog) -> None:
     with unit_one(f"rtu+tcp://{TCP}") as (server, _):
         for count in (1, 2, 3):
-            end = Converter(stage, 0.01)
+            end = Converter(lan, 0.01)
             end.write(rtu(READ))
-            stage.pass_time(1)
+            lan.pass_time(1)
             assert server.statistics.echoes == count
             end.close()
     (message,) = warnings(caplog)
     assert message.startswith(f"rtu+tcp://{TCP}: what is sent comes back")
 
 
-def test_a_port_that_was_unplugged_is_looked_at_again(stage: Stage) -> None:
+def test_a_port_that_was_unplugged_is_looked_at_again(lan: Lan) -> None:
     with unit_one(f"rtu://{LINE}") as (server, writes):
-        line = stage.line("/dev/line")
+        line = lan.line("/dev/line")
         master = LineEnd(line)
         master.write(rtu(READ))
-        stage.pass_time(1)
+        lan.pass_time(1)
         line.unplug()
-        stage.pass_time(1)
+        lan.pass_time(1)
         line.is_unplugged = False
-        stage.pass_time(3)
-        Echoing(stage, line)
+        lan.pass_time(3)
+        Echoing(lan, line)
         master = LineEnd(line)
         master.write(rtu(READ))
-        stage.pass_time(1)
+        lan.pass_time(1)
         assert server.statistics.echoes == 1
         master.write(rtu(WRITES[1]))
-        stage.pass_time(1)
+        lan.pass_time(1)
         assert len(writes) == 1
 
 
 @pytest.mark.parametrize("scheme", FRAMES)
-def test_an_answer_that_trickles_comes_back_as_it_leaves(stage: Stage, scheme: str) -> None:
+def test_an_answer_that_trickles_comes_back_as_it_leaves(lan: Lan, scheme: str) -> None:
     faults = {1: [Fault("trickle", seconds=0.005)]}
     with unit_one(f"{scheme}://{LINE}&echo=1", faults=faults) as (_, writes):
-        Echoing(stage, stage.line("/dev/line"))
-        master = LineEnd(stage.line("/dev/line"))
+        Echoing(lan, lan.line("/dev/line"))
+        master = LineEnd(lan.line("/dev/line"))
         for count in (1, 2, 3):
             master.write(FRAMES[scheme](WRITES[1]))
-            stage.pass_time(2)
+            lan.pass_time(2)
             assert len(writes) == count
 
 
-def test_a_request_that_begins_like_the_last_answer_is_answered_after_silence(stage: Stage) -> None:
+def test_a_request_that_begins_like_the_last_answer_is_answered_after_silence(lan: Lan) -> None:
     """Status 41h: the answer to function 7 is its request and a zero byte."""
     device = Device(Mapping(holding_registers=4), exception_status=0x41)
     for url in (f"rtu://{LINE}", f"rtu+tcp://{TCP}"):
         with Server({1: device}).background(url):
             for _ in range(3):
                 if "line" in url:
-                    end: Any = LineEnd(stage.line("/dev/line"))
+                    end: Any = LineEnd(lan.line("/dev/line"))
                     end.write(rtu("01 07"))
-                    stage.pass_time(0.1)
+                    lan.pass_time(0.1)
                     assert end.heard == rtu("01 07 41")
                 else:
-                    end = stage.talk(url)
+                    end = lan.client(url)
                     for _ in range(3):
                         end.sendall(rtu("01 07"))
                         assert end.receive(5) == rtu("01 07 41")

@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from libmodbus_py import Device, Server, framing
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.attacks import adu, ask, connect
 
 ASKED, ANSWER = bytes.fromhex("03 0000 0001"), bytes.fromhex("03 02 0007")
@@ -39,7 +39,7 @@ def test_an_illegal_request_does_not_cost_its_neighbours_their_answers(port: int
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])
-def test_a_request_cut_anywhere_is_answered(stage: Stage, scheme: str, device: Device) -> None:
+def test_a_request_cut_anywhere_is_answered(lan: Lan, scheme: str, device: Device) -> None:
     framers: dict[str, framing.Framer] = {
         "tcp": framing.TcpFramer(),
         "rtu+tcp": framing.RtuFramer("server"),
@@ -50,9 +50,9 @@ def test_a_request_cut_anywhere_is_answered(stage: Stage, scheme: str, device: D
     answer = framer.encode(framing.Frame(17, READ_ANSWER))
     with Server(device).background(f"{scheme}://10.0.0.1:0") as running:
         for cut in range(1, len(request)):
-            with stage.talk(running.urls[0]) as client:
+            with lan.client(running.urls[0]) as client:
                 client.sendall(request[:cut])
-                stage.pass_time(0.03)
+                lan.pass_time(0.03)
                 client.sendall(request[cut:] + request)
                 # A line has no transaction ids: only the last of two requests is answered.
                 answers = answer * (2 if scheme == "tcp" else 1)

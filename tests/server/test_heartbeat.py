@@ -8,10 +8,10 @@ from libmodbus_py import Client
 from libmodbus_py.low_level import ffi, lib
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.testing.wires import SerialWire
-from tests.simulation.stage import LineEnd, Stage, Talker
+from tests.simulation.lan import Lan, LanClient, LineEnd
 from tests.support.cases import each
-from tests.support.served import unit_one
-from tests.support.talk import ascii_frame, rtu
+from tests.support.driver import ascii_frame, rtu
+from tests.support.lan_server import unit_one
 
 FRAMES = {"rtu": rtu, "ascii": ascii_frame}
 COUNT = 20
@@ -41,11 +41,11 @@ PAUSES = [0.0, 0.00175, 0.02, 1.0]
 class Master:
     """Asks on a line or a connection, and returns what is answered."""
 
-    def __init__(self, stage: Stage, url: str) -> None:
+    def __init__(self, lan: Lan, url: str) -> None:
         endpoint = parse(url)
-        self._stage = stage
-        self._line = LineEnd(stage.line(endpoint.path)) if endpoint.is_serial else None
-        self._talker: Talker | None = None if endpoint.is_serial else stage.talk(url, timeout=3)
+        self._lan = lan
+        self._line = LineEnd(lan.line(endpoint.path)) if endpoint.is_serial else None
+        self._talker: LanClient | None = None if endpoint.is_serial else lan.client(url, timeout=3)
 
     def ask(self, request: bytes, size: int) -> bytes:
         if self._line is None:
@@ -54,7 +54,7 @@ class Master:
             return self._talker.receive(size)
         self._line.heard = b""
         self._line.write(request)
-        self._stage.until(lambda: len(self._line.heard) >= size, 3)
+        self._lan.until(lambda: len(self._line.heard) >= size, 3)
         return self._line.heard
 
     def close(self) -> None:
@@ -70,14 +70,14 @@ def beat(master: Master, frame: Any, request: str) -> None:
 @pytest.mark.parametrize("scheme", URLS)
 @pytest.mark.parametrize("is_gateway", [False, True])
 @pytest.mark.parametrize("pause", PAUSES)
-def test_each_of_many_equal_writes_is_carried_out(stage: Stage, scheme, is_gateway, pause) -> None:
+def test_each_of_many_equal_writes_is_carried_out(lan: Lan, scheme, is_gateway, pause) -> None:
     url, frame = URLS[scheme], FRAMES[scheme.partition("+")[0]]
     for check, request in each(HEARTBEATS):
         with check, unit_one(url, is_gateway=is_gateway) as (server, writes):
-            master = Master(stage, url)
+            master = Master(lan, url)
             for _ in range(COUNT):
                 beat(master, frame, request)
-                stage.pass_time(pause)
+                lan.pass_time(pause)
             master.close()
             assert len(writes) == (0 if request[3:5] == "08" else COUNT)
             assert server.statistics.echoes == 0
@@ -85,11 +85,11 @@ def test_each_of_many_equal_writes_is_carried_out(stage: Stage, scheme, is_gatew
 
 
 @pytest.mark.parametrize("scheme", URLS)
-def test_a_heartbeat_between_reads(stage: Stage, scheme: str) -> None:
+def test_a_heartbeat_between_reads(lan: Lan, scheme: str) -> None:
     """The answer of the first read shows that there is no echo."""
     url, frame = URLS[scheme], FRAMES[scheme.partition("+")[0]]
     with unit_one(url) as (server, writes):
-        master = Master(stage, url)
+        master = Master(lan, url)
         for _ in range(COUNT):
             assert master.ask(frame("01 03 0000 0001"), len(frame("01 03 02 0000")))
             beat(master, frame, "01 06 0001 0003")

@@ -11,11 +11,11 @@ from libmodbus_py import Client, Device, Limits, Mapping, Server, framing
 from libmodbus_py.server.peer import READ_BYTES
 from libmodbus_py.server.sessions import ByChunk
 from tests.simulation.attackers import Attackers, Innocent
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.attacks import ATTACKS, UNIT, Attack, adu, ask, connect
 from tests.support.certificates import Pki
-from tests.support.served import ask as server_ask
-from tests.support.served import served
+from tests.support.lan_server import ask as server_ask
+from tests.support.lan_server import server_on
 
 READ, READ_ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
 
@@ -79,7 +79,7 @@ def test_a_closed_client_is_not_reset_although_more_had_come(port: int) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])
-def test_random_bytes_change_nothing(stage: Stage, scheme: str, device: Device) -> None:
+def test_random_bytes_change_nothing(lan: Lan, scheme: str, device: Device) -> None:
     """Whoever is out of step is closed, and comes back with the next bytes."""
     before = contents(device)
     chance = random.Random(1)
@@ -89,13 +89,13 @@ def test_random_bytes_change_nothing(stage: Stage, scheme: str, device: Device) 
         Client(running.urls[1], unit=17, timeout=2) as innocent,
     ):
         for _ in range(60):
-            flood = stage.talk(running.urls[0])
+            flood = lan.client(running.urls[0])
             flood.end.send(chance.randbytes(4096))
-            start = stage.now
+            start = lan.now
             assert innocent.read_holding_registers(100, 1) == [1000]
-            assert stage.now - start < 0.01
+            assert lan.now - start < 0.01
             flood.close()
-        stage.pass_time(60)
+        lan.pass_time(60)
         assert contents(device) == before
 
 
@@ -136,7 +136,7 @@ def enough(attack: Attack) -> Attack:
 @pytest.mark.parametrize(
     "attack", [*map(enough, ATTACKS)], ids=lambda attack: attack.name.replace(" ", "-")
 )
-def test_an_innocent_client_waits_for_few_of_the_others(stage: Stage, attack, tmp_path) -> None:
+def test_an_innocent_client_waits_for_few_of_the_others(lan: Lan, attack, tmp_path) -> None:
     """The innocent speaks TCP; an attack on TLS meets another endpoint of the same server."""
     server = Server(
         {UNIT: Device(Mapping(holding_registers=2000))},
@@ -144,21 +144,21 @@ def test_an_innocent_client_waits_for_few_of_the_others(stage: Stage, attack, tm
         security=Pki(tmp_path).server() if attack.scheme == "tls" else None,
     )
     urls = ["tcp://10.0.0.1:0", f"{attack.scheme}://10.0.0.1:0"]
-    with server.background(*urls) as running, stage.talk(running.urls[0]) as client:
-        innocent = Innocent(stage, client, lambda: server.statistics.requests)
+    with server.background(*urls) as running, lan.client(running.urls[0]) as client:
+        innocent = Innocent(lan, client, lambda: server.statistics.requests)
         assert innocent.poll(5).turns == [0] * 5
-        with Attackers(stage, attack, running.urls[1]) as attackers:
-            assert stage.until(lambda: attackers.all_attack, 10)
+        with Attackers(lan, attack, running.urls[1]) as attackers:
+            assert lan.until(lambda: attackers.all_attack, 10)
             waited = innocent.poll(3, among=attackers)
         assert (attackers.sent > 0) == attack.sends
         assert max(waited.turns) <= TURNS
         assert max(waited.others) <= others(attack)
         assert waited.longest <= others(attack) + 1
-        assert stage.until(lambda: server.statistics.connections == 1)
+        assert lan.until(lambda: server.statistics.connections == 1)
         assert innocent.poll(5).turns == [0] * 5
 
 
-def test_a_defect_of_ours_costs_its_connection_and_no_other(stage: Stage, monkeypatch, caplog):
+def test_a_defect_of_ours_costs_its_connection_and_no_other(lan: Lan, monkeypatch, caplog):
     receive = ByChunk.receive
 
     def fail_at_noise(session: ByChunk, data: bytes) -> int:
@@ -167,7 +167,7 @@ def test_a_defect_of_ours_costs_its_connection_and_no_other(stage: Stage, monkey
         return receive(session, data)
 
     monkeypatch.setattr(ByChunk, "receive", fail_at_noise)
-    with served(stage) as server:
+    with server_on(lan) as server:
         bad, good = server.connect(), server.connect()
         bad.sendall(b"!")
         server_ask(good)

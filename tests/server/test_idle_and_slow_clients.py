@@ -12,9 +12,9 @@ import pytest
 from libmodbus_py import Device, Fault, Mapping, Server
 from libmodbus_py.server.limits import Limits
 from libmodbus_py.server.peer import READ_BYTES
-from tests.simulation.stage import Stage, Talker
+from tests.simulation.lan import Lan, LanClient
 from tests.support.attacks import READ_MOST, READ_ONE, adu, connect
-from tests.support.served import (
+from tests.support.lan_server import (
     ANSWER_MOST,
     ANSWER_ONE,
     MOST_ANSWER,
@@ -22,7 +22,7 @@ from tests.support.served import (
     OVER_TCP,
     ask,
     rtu,
-    served,
+    server_on,
 )
 
 KIND = pytest.mark.parametrize("kind", OVER_TCP)
@@ -38,45 +38,43 @@ NEVER_ENDED = bytes.fromhex("11 10 0000 007b f6")
 
 @KIND
 @pytest.mark.parametrize("frame_timeout", [0.4, 1000])
-def test_a_trickle_does_not_extend_the_time_of_a_frame(stage: Stage, kind: str, frame_timeout):
-    with served(stage, kind, frame_timeout=frame_timeout) as server:
+def test_a_trickle_does_not_extend_the_time_of_a_frame(lan: Lan, kind: str, frame_timeout):
+    with server_on(lan, kind, frame_timeout=frame_timeout) as server:
         slow, silent = server.connect(), server.connect()
         ask(slow)
-        start = stage.now
+        start = lan.now
         for byte in adu(WRITE_MOST):
             slow.sendall(bytes([byte]))
-            if stage.until(slow.has_input, frame_timeout / 8):
+            if lan.until(slow.has_input, frame_timeout / 8):
                 break
         assert slow.is_closed()
-        assert (
-            frame_timeout <= stage.now - start <= frame_timeout + min(1, frame_timeout / 4) + 0.01
-        )
+        assert frame_timeout <= lan.now - start <= frame_timeout + min(1, frame_timeout / 4) + 0.01
         assert server.counts(closed_slow=1, connections=1, requests=1)
         ask(silent)  # who begins nothing has all the time
 
 
 @KIND
-def test_a_frame_that_begins_where_another_ends_has_its_own_time(stage: Stage, kind: str) -> None:
-    with served(stage, kind, frame_timeout=1) as server:
+def test_a_frame_that_begins_where_another_ends_has_its_own_time(lan: Lan, kind: str) -> None:
+    with server_on(lan, kind, frame_timeout=1) as server:
         slow = server.connect()
         request = adu(READ_ONE)
         slow.sendall(request[:3])
-        stage.pass_time(0.99)
+        lan.pass_time(0.99)
         slow.sendall(request[3:] + request[:5])
-        second = stage.now
+        second = lan.now
         assert slow.receive(ONE_ANSWER) == adu(ANSWER_ONE)
-        stage.pass_time(0.99)  # almost two seconds after the first one began
+        lan.pass_time(0.99)  # almost two seconds after the first one began
         slow.sendall(request[5:] + request[:8])
-        third = stage.now
+        third = lan.now
         assert slow.receive(ONE_ANSWER) == adu(ANSWER_ONE)
         assert slow.is_closed()
-        assert third - second < 1 <= stage.now - third <= 1.26
+        assert third - second < 1 <= lan.now - third <= 1.26
         assert server.counts(closed_slow=1, connections=0)
 
 
-def test_the_time_of_a_frame_is_not_that_of_the_answer_before(stage: Stage) -> None:
+def test_the_time_of_a_frame_is_not_that_of_the_answer_before(lan: Lan) -> None:
     """The rest of it has come, but is not read before the answer has gone."""
-    with served(stage, faults=LATE, frame_timeout=0.2) as server:
+    with server_on(lan, faults=LATE, frame_timeout=0.2) as server:
         connection = server.connect()
         connection.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2)[:5])
         connection.sendall(adu(READ_ONE, 2)[5:])
@@ -85,33 +83,33 @@ def test_the_time_of_a_frame_is_not_that_of_the_answer_before(stage: Stage) -> N
         assert server.counts(closed_slow=0)
 
 
-def test_half_a_frame_behind_a_late_answer_has_its_time_from_then_on(stage: Stage) -> None:
-    with served(stage, faults=LATE, frame_timeout=20) as server:
+def test_half_a_frame_behind_a_late_answer_has_its_time_from_then_on(lan: Lan) -> None:
+    with server_on(lan, faults=LATE, frame_timeout=20) as server:
         connection = server.connect()
         connection.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2)[:5])
         assert connection.receive(ONE_ANSWER) == adu(ANSWER_ONE)
-        start = stage.now
+        start = lan.now
         assert connection.is_closed()
-        assert 20 <= stage.now - start <= 21.01
+        assert 20 <= lan.now - start <= 21.01
         assert server.counts(closed_slow=1)
 
 
 @KIND
 @pytest.mark.parametrize("idle_timeout", [0.5, 3600])
-def test_idle_clients_are_closed(stage: Stage, kind: str, idle_timeout: float) -> None:
+def test_idle_clients_are_closed(lan: Lan, kind: str, idle_timeout: float) -> None:
     look = min(1, idle_timeout / 4)
-    with served(stage, kind, idle_timeout=idle_timeout, frame_timeout=4 * look) as server:
+    with server_on(lan, kind, idle_timeout=idle_timeout, frame_timeout=4 * look) as server:
         stranger, idle, busy = (server.connect() for _ in range(3))
-        stage.pass_time(idle_timeout / 2)
+        lan.pass_time(idle_timeout / 2)
         ask(idle)
-        start = stage.now
-        ends: dict[Talker, float] = {}
+        start = lan.now
+        ends: dict[LanClient, float] = {}
         while len(ends) < 2:
             ask(busy)
-            stage.pass_time(idle_timeout / 20)
+            lan.pass_time(idle_timeout / 20)
             for each in (stranger, idle):
                 if each.has_input():
-                    ends.setdefault(each, stage.now - start)
+                    ends.setdefault(each, lan.now - start)
         late = look + idle_timeout / 20 + 0.01
         assert idle_timeout / 2 - 0.01 <= ends[stranger] <= idle_timeout / 2 + late
         assert idle_timeout - 0.01 <= ends[idle] <= idle_timeout + late
@@ -121,24 +119,24 @@ def test_idle_clients_are_closed(stage: Stage, kind: str, idle_timeout: float) -
         assert server.counts(connections=1, closed_idle=2)
 
 
-def test_idle_clients_stay_where_no_limit_says_otherwise(stage: Stage) -> None:
-    with served(stage, idle_timeout=None) as server:
+def test_idle_clients_stay_where_no_limit_says_otherwise(lan: Lan) -> None:
+    with server_on(lan, idle_timeout=None) as server:
         idle, stranger = server.connect(), server.connect()
         ask(idle)
-        stage.pass_time(2 * 3600)
+        lan.pass_time(2 * 3600)
         ask(idle)
         ask(stranger)
         assert server.counts(connections=2, closed_idle=0, closed_slow=0)
 
 
-def test_clients_whose_frames_silence_completes_are_not_idle(stage: Stage) -> None:
-    with served(stage, "plain", "rtu+tcp", idle_timeout=0.8) as server:
+def test_clients_whose_frames_silence_completes_are_not_idle(lan: Lan) -> None:
+    with server_on(lan, "plain", "rtu+tcp", idle_timeout=0.8) as server:
         sly, idle = server.connect(), server.connect()
         answer = rtu(ANSWER_ONE)
         for _ in range(12):
             sly.sendall(NEVER_ENDED + rtu(READ_ONE))
             assert sly.receive(len(answer)) == answer
-            stage.pass_time(0.1)
+            lan.pass_time(0.1)
         assert server.counts(connections=1, closed_idle=1, requests=12)
         assert idle.is_closed()
 
@@ -173,10 +171,8 @@ def answers(count: int) -> bytes:
 
 @KIND
 @pytest.mark.parametrize("max_unsent", [0, 65_536])
-def test_a_client_that_reads_late_gets_every_answer(
-    stage: Stage, kind: str, max_unsent: int
-) -> None:
-    with served(stage, kind, max_unsent=max_unsent, frame_timeout=10) as server:
+def test_a_client_that_reads_late_gets_every_answer(lan: Lan, kind: str, max_unsent: int) -> None:
+    with server_on(lan, kind, max_unsent=max_unsent, frame_timeout=10) as server:
         deaf, other = server.connect(), server.connect()
         deaf.sendall(pipelined(MANY))
         assert server.counts(paused=1)
@@ -184,7 +180,7 @@ def test_a_client_that_reads_late_gets_every_answer(
         # What is on its way to the client, the limit, and one read more than that.
         most = deaf.end.capacity + max_unsent + ONE_READ * MOST_ANSWER
         assert max_unsent < before * MOST_ANSWER <= most
-        stage.pass_time(3000)
+        lan.pass_time(3000)
         for _ in range(20):
             ask(other)
         assert server.counts(requests=before + 20, connections=2, closed_slow=0, paused=1)
@@ -194,8 +190,8 @@ def test_a_client_that_reads_late_gets_every_answer(
 
 
 @KIND
-def test_a_half_closed_client_gets_every_answer(stage: Stage, kind: str) -> None:
-    with served(stage, kind) as server:
+def test_a_half_closed_client_gets_every_answer(lan: Lan, kind: str) -> None:
+    with server_on(lan, kind) as server:
         deaf = server.connect()
         deaf.sendall(pipelined(MANY))
         deaf.shutdown(socket.SHUT_WR)
@@ -206,12 +202,12 @@ def test_a_half_closed_client_gets_every_answer(stage: Stage, kind: str) -> None
 
 
 @KIND
-def test_the_last_answers_must_be_taken_within_the_time_of_a_frame(stage: Stage, kind: str) -> None:
+def test_the_last_answers_must_be_taken_within_the_time_of_a_frame(lan: Lan, kind: str) -> None:
     """Too few for the limit, but more than the system takes; then nonsense."""
-    with served(stage, kind, max_unsent=2**30, frame_timeout=20) as server:
+    with server_on(lan, kind, max_unsent=2**30, frame_timeout=20) as server:
         deaf = server.connect()
         deaf.sendall(pipelined(MANY) + bytes(8))
-        start = stage.now
-        assert stage.until(lambda: server.statistics.connections == 0)
-        assert 20 <= stage.now - start <= 21.01
+        start = lan.now
+        assert lan.until(lambda: server.statistics.connections == 0)
+        assert 20 <= lan.now - start <= 21.01
         assert server.counts(closed_out_of_step=1, closed_slow=1, requests=MANY)

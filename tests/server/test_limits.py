@@ -14,14 +14,14 @@ import pytest
 from libmodbus_py import Device, Mapping, Server, framing
 from libmodbus_py.cli.main import main
 from libmodbus_py.server.limits import Limits, ServerStatistics
+from tests.simulation.lan import Lan, LineEnd
 from tests.simulation.sockets import MemoryListener
-from tests.simulation.stage import LineEnd, Stage
 from tests.support import attacks
 from tests.support.attacks import READ_ONE, ServerProcess, adu, connect, descriptor_limit, receive
 from tests.support.cases import each_case
 from tests.support.golden import Refused
+from tests.support.lan_server import ANSWER_ONE, KINDS, NEVER, ONE_ANSWER, ask, rtu, server_on
 from tests.support.peers import until
-from tests.support.served import ANSWER_ONE, KINDS, NEVER, ONE_ANSWER, ask, rtu, served
 
 ILLEGAL_COUNT = bytes.fromhex("03 0000 0000")
 
@@ -113,12 +113,12 @@ REFUSED = bytes.fromhex("83 0b")
 @pytest.mark.parametrize("scheme", ["tcp", "udp"])
 @pytest.mark.parametrize("faulty", [False, True])
 @pytest.mark.parametrize(("policy", "answer"), [("refuse", REFUSED), ("silent", None)])
-def test_a_unit_without_a_device(stage: Stage, scheme, faulty, policy, answer) -> None:
+def test_a_unit_without_a_device(lan: Lan, scheme, faulty, policy, answer) -> None:
     faults = {None: [NEVER]} if faulty else None
     device = Device(Mapping(holding_registers=1))
     server = Server({17: device}, faults=faults, unknown_unit=policy)
     with server.background(f"{scheme}://10.0.0.1:0") as running:
-        client = stage.talk(running.urls[0])
+        client = lan.client(running.urls[0])
         client.sendall(adu(READ_ONE, 1, STRANGER))
         if answer is not None:
             assert client.recv(300) == adu(answer, 1, STRANGER)
@@ -130,7 +130,7 @@ def test_a_unit_without_a_device(stage: Stage, scheme, faulty, policy, answer) -
 
 @pytest.mark.parametrize("policy", ["refuse", "silent"])
 @pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp", "rtu", "ascii"])
-def test_serial_lines_are_silent_for_a_unit_without_a_device(stage: Stage, scheme, policy) -> None:
+def test_serial_lines_are_silent_for_a_unit_without_a_device(lan: Lan, scheme, policy) -> None:
     framer: framing.Framer = framing.AsciiFramer()
     if scheme.startswith("rtu"):
         framer = framing.RtuFramer("server")
@@ -139,15 +139,15 @@ def test_serial_lines_are_silent_for_a_unit_without_a_device(stage: Stage, schem
     answer = framer.encode(framing.Frame(17, ANSWER_ONE))
     if scheme.endswith("tcp"):
         with server.background(f"{scheme}://10.0.0.1:0") as running:
-            client = stage.talk(running.urls[0])
+            client = lan.client(running.urls[0])
             client.sendall(b"".join(requests))
             assert client.receive(len(answer)) == answer
     else:
         with server.background(f"{scheme}:///dev/line?baudrate=115200"):
-            master = LineEnd(stage.line("/dev/line"))
+            master = LineEnd(lan.line("/dev/line"))
             for request in requests:
                 master.write(request)
-                stage.pass_time(60)
+                lan.pass_time(60)
             assert master.heard == answer
     assert server.statistics.requests == 2
 
@@ -232,26 +232,26 @@ def has_answer(client: socket.socket) -> bool:
 
 
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM])
-def test_without_descriptors_it_tries_ten_times_a_second(stage: Stage, monkeypatch, number) -> None:
+def test_without_descriptors_it_tries_ten_times_a_second(lan: Lan, monkeypatch, number) -> None:
     """Whoever waits to be accepted would wake it without end."""
     times: list[float] = []
 
     def fail(listener: MemoryListener) -> None:
-        times.append(stage.now)
+        times.append(lan.now)
         raise OSError(number, os.strerror(number))
 
-    with served(stage) as server:
+    with server_on(lan) as server:
         first = server.connect()
         ask(first)
         with monkeypatch.context() as short:
             short.setattr(MemoryListener, "accept", fail)
             newcomer = server.connect()
-            start = stage.now
+            start = lan.now
             newcomer.sendall(adu(READ_ONE))
-            stage.pass_time(10)
+            lan.pass_time(10)
             assert len(times) == pytest.approx(100, abs=1)
             ask(first)
-            assert stage.now - start < 10.01
+            assert lan.now - start < 10.01
         assert newcomer.receive(ONE_ANSWER) == adu(ANSWER_ONE)
         assert server.counts(accepted=2)
 
@@ -262,8 +262,8 @@ def assert_counted(statistics: ServerStatistics, **counts: int) -> None:
 
 
 @KIND
-def test_a_session_over_tcp_is_counted(stage: Stage, kind: str) -> None:
-    with served(stage, kind) as server:
+def test_a_session_over_tcp_is_counted(lan: Lan, kind: str) -> None:
+    with server_on(lan, kind) as server:
         first, second = server.connect(), server.connect()
         for number in range(3):
             ask(first, number)
@@ -283,9 +283,9 @@ def test_a_session_over_tcp_is_counted(stage: Stage, kind: str) -> None:
 
 
 @KIND
-def test_a_session_over_rtu_over_tcp_is_counted(stage: Stage, kind: str) -> None:
+def test_a_session_over_rtu_over_tcp_is_counted(lan: Lan, kind: str) -> None:
     answer, refusal = rtu(ANSWER_ONE), rtu(b"\x83\x03")
-    with served(stage, kind, "rtu+tcp") as server:
+    with server_on(lan, kind, "rtu+tcp") as server:
         client = server.connect()
         for request, response in ((READ_ONE, answer), (ILLEGAL_COUNT, refusal)):
             client.sendall(rtu(READ_ONE, STRANGER) + rtu(request))
@@ -293,7 +293,7 @@ def test_a_session_over_rtu_over_tcp_is_counted(stage: Stage, kind: str) -> None
         frame = bytearray(rtu(READ_ONE))
         frame[-1] ^= 0xFF
         client.sendall(frame)
-        stage.pass_time(1)
+        lan.pass_time(1)
         assert server.counts(bad_frames=1)
         client.sendall(rtu(READ_ONE))
         assert client.receive(len(answer)) == answer
@@ -303,8 +303,8 @@ def test_a_session_over_rtu_over_tcp_is_counted(stage: Stage, kind: str) -> None
 
 
 @KIND
-def test_a_session_over_udp_is_counted(stage: Stage, kind: str) -> None:
-    with served(stage, kind, "udp") as server:
+def test_a_session_over_udp_is_counted(lan: Lan, kind: str) -> None:
+    with server_on(lan, kind, "udp") as server:
         client = server.connect()
         for datagram in (adu(READ_ONE)[:-1], adu(READ_ONE), adu(ILLEGAL_COUNT), b"", adu(READ_ONE)):
             client.send(datagram)

@@ -11,8 +11,8 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from tests.support.attacks import ask, connect
+from tests.support.driver import ascii_frame, rtu
 from tests.support.peers import until
-from tests.support.talk import ascii_frame, rtu
 
 LISTEN_ONLY = "11 08 0004 0000"
 SEMICOLON = "11 08 0003 3B00"

@@ -16,7 +16,7 @@ import pytest
 
 from libmodbus_py import Device, Gateway, Limits, Mapping, Route, Server
 from libmodbus_py.serve import Allow, Rules
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support import certificates
 from tests.support.attacks import READ_ONE, adu
 from tests.support.certificates import Pki
@@ -30,37 +30,37 @@ TIMES = 4
 
 
 @contextmanager
-def asking(stage: Stage, server: Server | Gateway, data: bytes = b"") -> Iterator[None]:
+def asking(lan: Lan, server: Server | Gateway, data: bytes = b"") -> Iterator[None]:
     """Serve while so many clients send some bytes, and stay."""
     with server.background("tcp://10.0.0.1:0") as running:
         for _ in range(TIMES):
-            client = stage.talk(running.urls[0])
+            client = lan.client(running.urls[0])
             with contextlib.suppress(OSError):
                 client.sendall(data)
-            stage.pass_time(1)
+            lan.pass_time(1)
         yield
 
 
 def limited(data: bytes = b"", **limits: Any) -> Callable[..., AbstractContextManager[None]]:
-    def cause(stage: Stage, pki: Pki) -> AbstractContextManager[None]:
+    def cause(lan: Lan, pki: Pki) -> AbstractContextManager[None]:
         device = Device(Mapping(holding_registers=10))
-        return asking(stage, Server(device, limits=Limits(**limits)), data)
+        return asking(lan, Server(device, limits=Limits(**limits)), data)
 
     return cause
 
 
-def without_a_right(stage: Stage, pki: Pki) -> AbstractContextManager[None]:
+def without_a_right(lan: Lan, pki: Pki) -> AbstractContextManager[None]:
     device = Device(Mapping(holding_registers=10), authorize=Rules({None: Allow(read="all")}))
-    return asking(stage, Server(device), adu(WRITE_ONE))
+    return asking(lan, Server(device), adu(WRITE_ONE))
 
 
-def on_a_read_only_route(stage: Stage, pki: Pki) -> AbstractContextManager[None]:
-    stage.line("/dev/line")
-    return asking(stage, Gateway([Route("rtu:///dev/line", read_only=True)]), adu(WRITE_ONE))
+def on_a_read_only_route(lan: Lan, pki: Pki) -> AbstractContextManager[None]:
+    lan.line("/dev/line")
+    return asking(lan, Gateway([Route("rtu:///dev/line", read_only=True)]), adu(WRITE_ONE))
 
 
 @contextmanager
-def greeting(stage: Stage, pki: Pki, **options: Any) -> Iterator[int]:
+def greeting(lan: Lan, pki: Pki, **options: Any) -> Iterator[int]:
     server = Server(Device(Mapping(10)), security=pki.server(**options))
     with server.background("tls://127.0.0.1:0") as running:
         yield int(running.urls[0].rpartition(":")[2])
@@ -70,16 +70,16 @@ def presenting(
     identity: Callable[[], Any], *revoked: Any
 ) -> Callable[..., AbstractContextManager[None]]:
     @contextmanager
-    def cause(stage: Stage, pki: Pki) -> Iterator[None]:
+    def cause(lan: Lan, pki: Pki) -> Iterator[None]:
         options = {}
         if revoked:
             path = pki.files(certificates.server()).cert.with_name("crl.pem")
             path.write_bytes(certificates.revocation_list(*(each() for each in revoked)))
             options["crl"] = path
-        with greeting(stage, pki, **options) as port:
+        with greeting(lan, pki, **options) as port:
             for _ in range(TIMES):
                 context_ = context(pki, identity(), ssl.TLSVersion.TLSv1_2)
-                with TlsClient(port, context_, stage=stage) as client, pytest.raises(ssl.SSLError):
+                with TlsClient(port, context_, lan=lan) as client, pytest.raises(ssl.SSLError):
                     client.handshake()
             yield
 
@@ -87,10 +87,10 @@ def presenting(
 
 
 @contextmanager
-def without_a_handshake(stage: Stage, pki: Pki) -> Iterator[None]:
-    with greeting(stage, pki) as port:
-        clients = [stage.talk(port) for _ in range(TIMES)]
-        stage.pass_time(6)
+def without_a_handshake(lan: Lan, pki: Pki) -> Iterator[None]:
+    with greeting(lan, pki) as port:
+        clients = [lan.client(port) for _ in range(TIMES)]
+        lan.pass_time(6)
         assert all(client.is_closed() for client in clients)
         yield
 
@@ -135,13 +135,13 @@ TROUBLES: dict[str, tuple[Callable[..., AbstractContextManager[Any]], str]] = {
 
 
 @pytest.mark.parametrize("trouble", TROUBLES)
-def test_trouble_is_a_line_and_then_a_line_a_minute(stage: Stage, pki: Pki, trouble, caplog):
+def test_trouble_is_a_line_and_then_a_line_a_minute(lan: Lan, pki: Pki, trouble, caplog):
     cause, text = TROUBLES[trouble]
     with ExitStack() as stack, caplog.at_level(logging.WARNING):
-        stack.enter_context(cause(stage, pki))
+        stack.enter_context(cause(lan, pki))
         (line,) = caplog.messages
-        stage.pass_time(61)
-        stage.pass_time(600)
+        lan.pass_time(61)
+        lan.pass_time(600)
     assert re.match(r"(10|127)\.[\d.]+:\d+[:,] ", line)
     assert text in line
     lines = caplog.messages[1:]

@@ -14,7 +14,7 @@ from contextlib import ExitStack, contextmanager
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.attacks import (
     ANSWER_ONE,
     PATIENCE,
@@ -27,8 +27,8 @@ from tests.support.attacks import (
     pipeline,
     receive,
 )
+from tests.support.lan_server import ONE_ANSWER, OVER_TCP, LanServer, ask, server_on
 from tests.support.peers import until
-from tests.support.served import ONE_ANSWER, OVER_TCP, Served, ask, served
 
 # They are for whoever asks for a report, in whatever format.
 pytestmark = pytest.mark.filterwarnings("ignore:record_property is incompatible")
@@ -43,7 +43,7 @@ SPARE = 100
 
 # What the memory of a process may grow by though nothing leaks: malloc keeps pages that it
 # got back. Starting leaves about 1 MB free, which hides as much of a leak. What Python allocates
-# is counted to the byte on the stage.
+# is counted to the byte on the LAN.
 SLACK = 600_000
 WARM_UP = 300
 CYCLES = 1_200
@@ -103,7 +103,7 @@ def test_closed_connections_leave_nothing(work, count, record_property) -> None:
         assert grown < SLACK
 
 
-def come_and_go(server: Served, cycles: int) -> None:
+def come_and_go(server: LanServer, cycles: int) -> None:
     """Connect, ask and leave, by turns well, in the middle of a request, and with a reset."""
     for number in range(cycles):
         client = server.connect(f"10.1.0.{1 + number % 20}")
@@ -114,7 +114,7 @@ def come_and_go(server: Served, cycles: int) -> None:
         assert server.counts(connections=0)
 
 
-def ask_on(server: Served, cycles: int) -> None:
+def ask_on(server: LanServer, cycles: int) -> None:
     client = server.connect()
     for _ in range(cycles):
         client.sendall(adu(READ_ONE) * 20)
@@ -125,7 +125,7 @@ def ask_on(server: Served, cycles: int) -> None:
 
 @pytest.mark.parametrize("kind", OVER_TCP)
 @pytest.mark.parametrize("work", [come_and_go, ask_on])
-def test_closed_connections_leave_no_byte_in_the_server(stage: Stage, kind, work) -> None:
+def test_closed_connections_leave_no_byte_in_the_server(lan: Lan, kind, work) -> None:
     """A leak of one object in ten cycles shows."""
     package = [tracemalloc.Filter(True, "*/libmodbus_py/*")]
 
@@ -134,7 +134,7 @@ def test_closed_connections_leave_no_byte_in_the_server(stage: Stage, kind, work
         figures = tracemalloc.take_snapshot().filter_traces(package).statistics("filename")
         return sum(each.count for each in figures)
 
-    with served(stage, kind) as server:
+    with server_on(lan, kind) as server:
         work(server, 60)
         tracemalloc.start()
         try:

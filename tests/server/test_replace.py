@@ -25,7 +25,7 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.server import udp
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.peers import until
 from tests.support.transports import TRANSPORTS, serving
 
@@ -134,7 +134,7 @@ def test_the_servers_own_unit_is_that_of_the_new_devices() -> None:
             client.for_unit(1).read_holding_registers(0, 1)
 
 
-def test_a_broadcast_goes_to_the_new_devices(stage: Stage) -> None:
+def test_a_broadcast_goes_to_the_new_devices(lan: Lan) -> None:
     server = Server({1: holding(1), 2: holding(1)})
     line = "rtu:///dev/line"
     with server.background(line), Client(line, unit=1, timeout=50) as client:
@@ -180,7 +180,7 @@ def test_a_hook_may_replace_what_calls_it() -> None:
                     client.read_coils(0, 1)
 
 
-def test_replaced_again_and_again_while_a_hundred_clients_read(stage: Stage) -> None:
+def test_replaced_again_and_again_while_a_hundred_clients_read(lan: Lan) -> None:
     """Nobody is disconnected, or gets anything but an answer of one of the devices."""
     server = Server({1: holding(0)})
     values: set[int] = set()
@@ -208,11 +208,11 @@ def test_replaced_again_and_again_while_a_hundred_clients_read(stage: Stage) -> 
         return await asyncio.gather(*polls)
 
     with server.background("tcp://10.0.0.1:0") as running:
-        counts = stage.wait(all_of_it(running.urls[0]))
+        counts = lan.wait(all_of_it(running.urls[0]))
         assert min(counts) > 15
         assert server.statistics.accepted == 100
         assert values == set(range(15))
-        assert stage.until(lambda: server.statistics.connections == 0)
+        assert lan.until(lambda: server.statistics.connections == 0)
     gc.collect()
     assert sum(isinstance(each, Device) for each in gc.get_objects()) < 15
 

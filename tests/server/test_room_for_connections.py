@@ -4,10 +4,10 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.server.limits import Limits
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.attacks import READ_ONE, adu, connect, descriptor_limit, receive
+from tests.support.lan_server import ANSWER_ONE, ONE_ANSWER, OTHER, OVER_TCP, ask, server_on
 from tests.support.names import NEEDS_IPV6
-from tests.support.served import ANSWER_ONE, ONE_ANSWER, OTHER, OVER_TCP, ask, served
 
 KIND = pytest.mark.parametrize("kind", OVER_TCP)
 
@@ -21,12 +21,12 @@ def test_as_many_connections_as_descriptors_leave() -> None:
 
 
 @KIND
-def test_first_go_those_that_never_asked_then_the_longest_idle(stage: Stage, kind: str) -> None:
-    with served(stage, kind, max_connections=3) as server:
+def test_first_go_those_that_never_asked_then_the_longest_idle(lan: Lan, kind: str) -> None:
+    with server_on(lan, kind, max_connections=3) as server:
         first, second, stranger = (server.connect() for _ in range(3))
         ask(first)
         ask(second)
-        stage.pass_time(0.1)
+        lan.pass_time(0.1)
         ask(first)  # now the second one is the longest idle
 
         third = server.connect()
@@ -40,8 +40,8 @@ def test_first_go_those_that_never_asked_then_the_longest_idle(stage: Stage, kin
 
 
 @KIND
-def test_a_full_server_can_refuse(stage: Stage, kind: str) -> None:
-    with served(stage, kind, max_connections=2, when_full="refuse") as server:
+def test_a_full_server_can_refuse(lan: Lan, kind: str) -> None:
+    with server_on(lan, kind, max_connections=2, when_full="refuse") as server:
         first, second = server.connect(), server.connect()
         ask(first)
         ask(second)
@@ -54,18 +54,18 @@ def test_a_full_server_can_refuse(stage: Stage, kind: str) -> None:
         ask(server.connect())
 
 
-def test_endpoints_share_their_connections(stage: Stage) -> None:
+def test_endpoints_share_their_connections(lan: Lan) -> None:
     server = Server(Device(Mapping()), limits=Limits(max_connections=1))
     with server.background("tcp://10.0.0.1:0", "rtu+tcp://10.0.0.1:0") as running:
-        first = stage.talk(running.urls[0])
-        stage.pass_time(0.01)
-        stage.talk(running.urls[1])
+        first = lan.client(running.urls[0])
+        lan.pass_time(0.01)
+        lan.client(running.urls[1])
         assert first.is_closed()
     assert server.statistics.closed_for_others == 1
 
 
-def test_connections_left_at_the_end_are_closed(stage: Stage) -> None:
-    with served(stage) as server:
+def test_connections_left_at_the_end_are_closed(lan: Lan) -> None:
+    with server_on(lan) as server:
         connection = server.connect()
         ask(connection)
     assert connection.is_closed()
@@ -73,8 +73,8 @@ def test_connections_left_at_the_end_are_closed(stage: Stage) -> None:
 
 
 @KIND
-def test_an_address_with_too_many_makes_room_among_its_own(stage: Stage, kind: str) -> None:
-    with served(stage, kind, max_connections=6, connections_per_address=3) as server:
+def test_an_address_with_too_many_makes_room_among_its_own(lan: Lan, kind: str) -> None:
+    with server_on(lan, kind, max_connections=6, connections_per_address=3) as server:
         others = [server.connect(OTHER) for _ in range(3)]
         ask(others[0])
         assert server.counts(connections=3)
@@ -95,8 +95,8 @@ def test_an_address_with_too_many_makes_room_among_its_own(stage: Stage, kind: s
 
 
 @KIND
-def test_an_address_with_too_many_can_be_refused(stage: Stage, kind: str) -> None:
-    with served(stage, kind, connections_per_address=2, when_full="refuse") as server:
+def test_an_address_with_too_many_can_be_refused(lan: Lan, kind: str) -> None:
+    with server_on(lan, kind, connections_per_address=2, when_full="refuse") as server:
         first, second = server.connect(), server.connect()
         ask(first)
         ask(second)
@@ -112,9 +112,9 @@ def test_an_address_with_too_many_can_be_refused(stage: Stage, kind: str) -> Non
         ask(server.connect())
 
 
-def test_ipv4_within_ipv6_is_the_same_address(stage: Stage) -> None:
+def test_ipv4_within_ipv6_is_the_same_address(lan: Lan) -> None:
     """As a listener for both families would say it."""
-    with served(stage, connections_per_address=1, when_full="refuse") as server:
+    with server_on(lan, connections_per_address=1, when_full="refuse") as server:
         ask(server.connect("192.0.2.7"))
         assert server.refuses("::ffff:192.0.2.7")
         ask(server.connect("::ffff:192.0.2.8"))
@@ -123,8 +123,8 @@ def test_ipv4_within_ipv6_is_the_same_address(stage: Stage) -> None:
 
 
 @KIND
-def test_hosts_outside_are_closed_at_once(stage: Stage, kind: str) -> None:
-    with served(stage, kind, allow=["127.0.0.2", "127.1.0.0/16"]) as server:
+def test_hosts_outside_are_closed_at_once(lan: Lan, kind: str) -> None:
+    with server_on(lan, kind, allow=["127.0.0.2", "127.1.0.0/16"]) as server:
         for source in ("127.0.0.1", "127.0.0.3"):
             assert server.refuses(source)
         for source in ("127.0.0.2", "127.1.2.3"):

@@ -18,10 +18,10 @@ from libmodbus_py.server.server import Devices
 from libmodbus_py.server.service import SessionState
 from libmodbus_py.server.units import Units
 from libmodbus_py.tools.testing.wires import SerialWire
-from tests.simulation.stage import LineEnd, Stage
+from tests.simulation.lan import Lan, LineEnd
+from tests.support.driver import ascii_frame, rtu
+from tests.support.lan_server import unit_one
 from tests.support.peers import LinePeer, ignore, until
-from tests.support.served import unit_one
-from tests.support.talk import ascii_frame, rtu
 
 
 @pytest.mark.parametrize("noise", [b"\x00", b"\xff\xff", b"\x01\x03", bytes(range(40)), b":0103"])
@@ -42,19 +42,19 @@ NOISES = [b"", b"\0", b"\xff\xff", b"\2\3\x10", b"\2\x10\0\0", b"\xf8\0\x7e\x80"
 
 
 @pytest.mark.parametrize("is_gateway", [False, True])
-def test_requests_between_noise_are_carried_out_once_each(stage: Stage, is_gateway: bool) -> None:
+def test_requests_between_noise_are_carried_out_once_each(lan: Lan, is_gateway: bool) -> None:
     """The master sends the next one as soon as it has the answer."""
     with unit_one("rtu:///dev/line?baudrate=115200", is_gateway=is_gateway) as (server, writes):
-        master = LineEnd(stage.line("/dev/line"))
+        master = LineEnd(lan.line("/dev/line"))
         for number, (behind, before) in enumerate(itertools.product(NOISES, NOISES), 1):
             master.heard = b""
             request = rtu(f"01 10 0000 0002 04 {number:04X} 0003")
             master.write(before + request + behind)
-            started = stage.now
+            started = lan.now
             while master.heard != rtu("01 10 0000 0002"):
-                stage.pass_time(0.001)
-                assert stage.now < started + 0.1, (before, behind)
-            stage.pass_time(0.002)
+                lan.pass_time(0.001)
+                assert lan.now < started + 0.1, (before, behind)
+            lan.pass_time(0.002)
             assert [each.values for each in writes[number - 1 :]] == [(number, 3)]
         assert server.statistics.requests == len(NOISES) ** 2
 
@@ -64,8 +64,8 @@ class OddEnd(LineEnd):
 
     is_unit = True
 
-    def __init__(self, stage: Stage, end: bytes) -> None:
-        super().__init__(stage.line("/dev/line"))
+    def __init__(self, lan: Lan, end: bytes) -> None:
+        super().__init__(lan.line("/dev/line"))
         self._end = end
 
     def hear(self, data: bytes) -> None:
@@ -73,13 +73,13 @@ class OddEnd(LineEnd):
 
 
 @pytest.mark.parametrize("end", [b"\r", b"\n"])
-def test_ascii_frames_that_end_with_one_byte_are_taken(stage: Stage, end: bytes) -> None:
+def test_ascii_frames_that_end_with_one_byte_are_taken(lan: Lan, end: bytes) -> None:
     with unit_one("ascii:///dev/line"):
-        master = LineEnd(stage.line("/dev/line"))
+        master = LineEnd(lan.line("/dev/line"))
         master.write(ascii_frame("01 03 0000 0001", end))
-        stage.pass_time(0.2)
+        lan.pass_time(0.2)
         assert master.heard == ascii_frame("01 03 02 0000")
-    OddEnd(stage, end)
+    OddEnd(lan, end)
     with Client("ascii:///dev/line", unit=1, timeout=1.0) as asks:
         assert asks.read_holding_registers(0, 1) == [7]
     separator, exchanges = listen.Separator("ascii"), []
@@ -177,18 +177,18 @@ SHORT_ANSWERS = [rtu(f"01 03 04 {number:04X} 0000") for number in range(4)]
 class TimedEnd(LineEnd):
     """Notes when it hears what."""
 
-    def __init__(self, stage: Stage, line: Any) -> None:
+    def __init__(self, lan: Lan, line: Any) -> None:
         super().__init__(line)
         self.pieces: list[tuple[float, bytes]] = []
-        self._stage = stage
+        self._lan = lan
 
     def hear(self, data: bytes) -> None:
-        self.pieces.append((self._stage.now, data))
+        self.pieces.append((self._lan.now, data))
 
 
 @pytest.mark.parametrize("baudrate", [1200, 9600, 115200])
 @pytest.mark.parametrize("rest", ["", "&rs485=rts-up"])
-def test_a_silence_is_between_two_answers(stage: Stage, baudrate: int, rest: str) -> None:
+def test_a_silence_is_between_two_answers(lan: Lan, baudrate: int, rest: str) -> None:
     service = Service()
 
     async def begun() -> SerialServer:
@@ -197,14 +197,14 @@ def test_a_silence_is_between_two_answers(stage: Stage, baudrate: int, rest: str
         await server.open()
         return server
 
-    other = TimedEnd(stage, stage.line("/dev/line"))
-    server = stage.wait(begun())
+    other = TimedEnd(lan, lan.line("/dev/line"))
+    server = lan.wait(begun())
     try:
         for answer in SHORT_ANSWERS:
             service.channel.write(answer)
-        stage.pass_time(2.0)
+        lan.pass_time(2.0)
     finally:
-        stage.wait(closed(server))
+        lan.wait(closed(server))
     assert [data for _, data in other.pieces] == SHORT_ANSWERS
     times = [at for at, _ in other.pieces]
     character = 11 / baudrate

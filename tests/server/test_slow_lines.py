@@ -7,10 +7,10 @@ from libmodbus_py.pdu import Diagnostics
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.framing import make_framer
 from libmodbus_py.protocol.scan import pause_between_frames
-from tests.simulation.stage import LineEnd, Stage
+from tests.simulation.lan import Lan, LineEnd
 from tests.support.cases import each_case
-from tests.support.served import unit_one
-from tests.support.talk import rtu
+from tests.support.driver import rtu
+from tests.support.lan_server import unit_one
 
 WRITE = rtu("01 06 0001 0003")
 READ, ANSWER = rtu("01 03 0001 0001"), rtu("01 03 02 0000")
@@ -50,16 +50,16 @@ def test_everything_that_cuts_frames_waits_for_it() -> None:
 
 @pytest.mark.parametrize("is_gateway", [False, True])
 @pytest.mark.parametrize("baudrate", [300, 600, 1200, 9600])
-def test_no_part_of_a_frame_is_carried_out(stage: Stage, baudrate: int, is_gateway: bool) -> None:
+def test_no_part_of_a_frame_is_carried_out(lan: Lan, baudrate: int, is_gateway: bool) -> None:
     with unit_one(f"rtu:///dev/line?baudrate={baudrate}", is_gateway=is_gateway) as (_, writes):
-        stage.line("/dev/line").character = 11 / baudrate
-        master = LineEnd(stage.line("/dev/line"))
+        lan.line("/dev/line").character = 11 / baudrate
+        master = LineEnd(lan.line("/dev/line"))
         for frame, answer in ((AROUND, b""), (LOOPBACK, LOOPBACK), (READ, ANSWER)):
             master.heard = b""
             for byte in frame:  # one by one, as they come out of a slow port
                 master.write(bytes([byte]))
-                stage.pass_time(11 / baudrate)
-            stage.pass_time(5)
+                lan.pass_time(11 / baudrate)
+            lan.pass_time(5)
             assert master.heard == answer
     assert writes == []
 
@@ -78,19 +78,19 @@ def test_a_listener_hears_whole_frames() -> None:
 
 
 @pytest.mark.parametrize("is_async", [False, True])
-def test_a_client_takes_a_slow_answer_whole(stage: Stage, is_async: bool) -> None:
+def test_a_client_takes_a_slow_answer_whole(lan: Lan, is_async: bool) -> None:
     """It is the answer of a unit to a loopback, whose data begin with a CRC that fits."""
     data = rtu("01 08 0000")[-2:] + WRITE
     line = "rtu:///dev/line?baudrate=300"
     whole = rtu("01 08 0000" + data.hex())
-    unit = SlowUnit(stage, whole)
+    unit = SlowUnit(lan, whole)
     if is_async:
 
         async def ask() -> bytes:
             async with AsyncClient(line, unit=1, timeout=10) as plc:
                 return await plc.execute(Diagnostics(0, data))
 
-        assert stage.wait(ask()) == data
+        assert lan.wait(ask()) == data
     else:
         with Client(line, unit=1, timeout=10) as plc:
             assert plc.execute(Diagnostics(0, data)) == data
@@ -102,13 +102,13 @@ class SlowUnit(LineEnd):
 
     is_unit = True
 
-    def __init__(self, stage: Stage, answer: bytes) -> None:
-        super().__init__(stage.line("/dev/line"))
-        self._stage = stage
+    def __init__(self, lan: Lan, answer: bytes) -> None:
+        super().__init__(lan.line("/dev/line"))
+        self._lan = lan
         self._answer = answer
 
     def hear(self, data: bytes) -> None:
         super().hear(data)
         for number, byte in enumerate(self._answer, 1):
-            at = self._stage.events.now + 0.2 + number * 11 / 300
-            self._stage.events.at(at, super().write, bytes([byte]))
+            at = self._lan.events.now + 0.2 + number * 11 / 300
+            self._lan.events.at(at, super().write, bytes([byte]))

@@ -19,11 +19,11 @@ from libmodbus_py import Access, Device, Mapping, Server
 from libmodbus_py.security.certificates import encode_role
 from libmodbus_py.tools.certificates import Identity
 from libmodbus_py.version import how_to_add
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support import certificates
 from tests.support.attacks import PATIENCE
 from tests.support.certificates import Pki
-from tests.support.events import Events, named, whose
+from tests.support.events import Events, certificate_fields, identity_fields
 from tests.support.tls import ONE, VERSION, VERSIONS, TlsClient, context, serving, talking
 
 
@@ -44,16 +44,16 @@ def noting(roles: list[str | None]) -> Device:
 
 
 @pytest.fixture
-def served(stage: Stage, pki: Pki, noting: Device, events: Events) -> Iterator[tuple[Server, int]]:
+def served(lan: Lan, pki: Pki, noting: Device, events: Events) -> Iterator[tuple[Server, int]]:
     with serving(pki, noting, audit=events.append) as served:
         yield served
 
 
 def test_an_authority_below_may_have_signed_if_it_is_shown(
-    stage: Stage, served: tuple[Server, int], pki: Pki, roles: list[str | None]
+    lan: Lan, served: tuple[Server, int], pki: Pki, roles: list[str | None]
 ) -> None:
     identity = certificates.client("Chief", issuer=certificates.intermediate())
-    with TlsClient(served[1], context(pki, identity), stage=stage).handshake() as client:
+    with TlsClient(served[1], context(pki, identity), lan=lan).handshake() as client:
         assert client.is_answered()
     assert roles == ["Chief"]
 
@@ -71,14 +71,14 @@ GCM = "AES128-GCM-SHA256"
     ],
 )
 def test_the_suites_that_must_be_there_are(
-    stage: Stage, pki: Pki, key: str, version: str, ciphers: str | None, negotiated: str
+    lan: Lan, pki: Pki, key: str, version: str, ciphers: str | None, negotiated: str
 ) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
     security = pki.security(certificates.server(**keys))
     context_ = context(pki, certificates.client(**keys), VERSIONS[version], ciphers)
     with (
         serving(pki, security=security) as (server, port),
-        TlsClient(port, context_, stage=stage).handshake() as client,
+        TlsClient(port, context_, lan=lan).handshake() as client,
     ):
         assert client.is_answered()
         assert client.tls.version() == f"TLSv{version}"
@@ -101,29 +101,29 @@ def test_the_suites_that_must_be_there_are(
     ],
     ids=lambda ciphers: ciphers.partition(":")[0],
 )
-def test_suites_that_are_weak_are_refused(stage: Stage, pki: Pki, key: str, ciphers: str) -> None:
+def test_suites_that_are_weak_are_refused(lan: Lan, pki: Pki, key: str, ciphers: str) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
     security = pki.security(certificates.server(**keys))
     context_ = context(pki, certificates.client(**keys), VERSIONS["1.2"], f"{ciphers}:@SECLEVEL=0")
     with (
         serving(pki, security=security) as (server, port),
-        TlsClient(port, context_, stage=stage) as client,
+        TlsClient(port, context_, lan=lan) as client,
     ):
         with pytest.raises(ssl.SSLError, match="HANDSHAKE_FAILURE"):
             client.handshake()
-        assert stage.until(lambda: server.statistics.connections == 0)
+        assert lan.until(lambda: server.statistics.connections == 0)
         assert (server.statistics.handshakes, server.statistics.handshakes_refused) == (0, 1)
 
 
 @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1, ssl.TLSVersion.TLSv1_1])
-def test_older_versions_are_refused(stage: Stage, pki: Pki, served: tuple[Server, int], version):
+def test_older_versions_are_refused(lan: Lan, pki: Pki, served: tuple[Server, int], version):
     context_ = context(pki, certificates.client(), version, "ALL:@SECLEVEL=0")
     with (
-        TlsClient(served[1], context_, stage=stage) as client,
+        TlsClient(served[1], context_, lan=lan) as client,
         pytest.raises(ssl.SSLError, match="PROTOCOL_VERSION"),  # R-01, R-34
     ):
         client.handshake()
-    assert stage.until(lambda: served[0].statistics.handshakes_refused == 1)
+    assert lan.until(lambda: served[0].statistics.handshakes_refused == 1)
 
 
 def tampered() -> Identity:
@@ -188,7 +188,7 @@ BAD: dict[str, tuple[Callable[[], Identity | None], str, str | None]] = {
 @VERSION
 @pytest.mark.parametrize("who", BAD)
 def test_a_bad_certificate_is_refused(
-    stage: Stage,
+    lan: Lan,
     pki: Pki,
     served: tuple[Server, int],
     roles: list[str | None],
@@ -204,7 +204,7 @@ def test_a_bad_certificate_is_refused(
     peers = []
     with caplog.at_level(logging.INFO):
         for _ in range(2):  # neither at first, nor with the session of the first time (R-11)
-            with TlsClient(port, context_, session=None, stage=stage) as client:
+            with TlsClient(port, context_, session=None, lan=lan) as client:
                 peers.append(":".join(map(str, client.socket.getsockname())))
                 if alert is None:
                     client.handshake()
@@ -214,18 +214,20 @@ def test_a_bad_certificate_is_refused(
                     with pytest.raises(ssl.SSLError, match=alert):
                         client.handshake().ask(ONE, 1)
     statistics = server.statistics
-    assert stage.until(lambda: statistics.connections == 0)
+    assert lan.until(lambda: statistics.connections == 0)
     assert (statistics.handshakes, statistics.handshakes_refused) == (0, 2)
     assert statistics.requests == 0
     assert roles == []
-    stage.pass_time(61)
+    lan.pass_time(61)
     loud = [each for each in caplog.records if each.levelno > logging.INFO]
     assert [each.levelno for each in loud] == [logging.WARNING] * 2
     for peer, record in zip(peers, loud, strict=True):
         assert record.getMessage().startswith(f"{peer}: ")
     message = loud[-1].getMessage()
     assert any(each in message for each in reasons.split("|")), message
-    assert [(each.event, whose(each)) for each in events] == [("handshake", named(identity))] * 2
+    assert [(each.event, identity_fields(each)) for each in events] == [
+        ("handshake", certificate_fields(identity))
+    ] * 2
     assert any(each in events[-1].result for each in reasons.split("|"))
     if alert is None:  # OpenSSL keeps to itself whose it was that it refused
         assert message.endswith(f"SHA-256 {digest(identity)}")
@@ -233,18 +235,18 @@ def test_a_bad_certificate_is_refused(
 
 @VERSION
 def test_a_session_of_a_refused_client_is_refused(
-    stage: Stage, pki: Pki, served: tuple[Server, int], version: ssl.TLSVersion
+    lan: Lan, pki: Pki, served: tuple[Server, int], version: ssl.TLSVersion
 ) -> None:
     """Its role is read when OpenSSL has given the ticket away."""
     context_ = context(pki, BAD["two roles"][0](), version)
     session = None
     for _ in range(3):
-        with TlsClient(served[1], context_, session, stage=stage) as client:
+        with TlsClient(served[1], context_, session, lan=lan) as client:
             client.handshake()
             assert client.ask(ONE, 1) == b""
             session = client.tls.session
     statistics = served[0].statistics
-    assert stage.until(lambda: statistics.handshakes_refused == 3)
+    assert lan.until(lambda: statistics.handshakes_refused == 3)
     assert (statistics.handshakes, statistics.handshakes_resumed) == (0, 0)
 
 
@@ -280,7 +282,7 @@ def test_without_cryptography_only_roles_are_refused(pki: Pki) -> None:
 
 
 @pytest.mark.parametrize("how", ["one", "several", "with a hash"])
-def test_only_those_that_are_pinned_get_in(stage: Stage, pki: Pki, how: str) -> None:
+def test_only_those_that_are_pinned_get_in(lan: Lan, pki: Pki, how: str) -> None:
     mine = certificates.self_signed(role="Installer")
     files = [pki.files(mine).cert]
     if how != "one":
@@ -293,15 +295,15 @@ def test_only_those_that_are_pinned_get_in(stage: Stage, pki: Pki, how: str) -> 
         certificates.self_signed("Test device", days=2),  # the same name
     ]
     with serving(pki, security=security) as (server, port):
-        with TlsClient(port, context(pki, mine), stage=stage).handshake() as client:
+        with TlsClient(port, context(pki, mine), lan=lan).handshake() as client:
             assert client.is_answered()
         for stranger in strangers:
             with (
-                TlsClient(port, context(pki, stranger), stage=stage) as client,
+                TlsClient(port, context(pki, stranger), lan=lan) as client,
                 pytest.raises(ssl.SSLError, match=r"UNKNOWN_CA|BAD_CERT|DECRYPT"),
             ):
                 client.handshake().ask(ONE, 1)
-        assert stage.until(lambda: server.statistics.handshakes_refused == len(strangers))
+        assert lan.until(lambda: server.statistics.handshakes_refused == len(strangers))
 
 
 def digest(identity: Identity | None) -> str:
@@ -309,39 +311,37 @@ def digest(identity: Identity | None) -> str:
     return hashlib.sha256(identity.der).hexdigest()
 
 
-def test_certificates_signed_by_a_pinned_one_are_refused(stage: Stage, pki: Pki, caplog) -> None:
+def test_certificates_signed_by_a_pinned_one_are_refused(lan: Lan, pki: Pki, caplog) -> None:
     """OpenSSL takes it, for the pinned one is what it trusts."""
     security = pki.server(pin=pki.authority(certificates.authority()))
-    with caplog.at_level(logging.INFO), talking(stage, pki, security=security) as (server, client):
+    with caplog.at_level(logging.INFO), talking(lan, pki, security=security) as (server, client):
         assert client.ask(ONE, 1) == b""
         assert (server.statistics.handshakes, server.statistics.handshakes_refused) == (0, 1)
     assert "none of the pins" in caplog.text
 
 
-def test_a_pinned_certificate_must_be_for_clients(stage: Stage, pki: Pki) -> None:
+def test_a_pinned_certificate_must_be_for_clients(lan: Lan, pki: Pki) -> None:
     """OpenSSL looks at the extended key usage, and cannot be told not to."""
     mine = certificates.server_only()
     security = pki.server(pin=pki.files(mine).cert)
     with serving(pki, security=security) as (_, port):
         context_ = context(pki, mine)
         with (
-            TlsClient(port, context_, stage=stage) as client,
+            TlsClient(port, context_, lan=lan) as client,
             pytest.raises(ssl.SSLError, match="UNSUPPORTED"),
         ):
             client.handshake().ask(ONE, 1)
 
 
 @VERSION
-def test_a_pinned_certificate_may_be_expired(
-    stage: Stage, pki: Pki, version: ssl.TLSVersion
-) -> None:
+def test_a_pinned_certificate_may_be_expired(lan: Lan, pki: Pki, version: ssl.TLSVersion) -> None:
     mine = certificates.self_signed(**certificates.expired())
     context_ = context(pki, mine, version)
     security = pki.server(pin=pki.files(mine).cert)
     session = None
     with serving(pki, security=security) as (server, port):
         for _ in range(2):
-            with TlsClient(port, context_, session, stage=stage).handshake() as client:
+            with TlsClient(port, context_, session, lan=lan).handshake() as client:
                 assert client.is_answered()
                 session = client.tls.session
         assert server.statistics.handshakes_resumed == 1
@@ -349,7 +349,7 @@ def test_a_pinned_certificate_may_be_expired(
 
 @pytest.mark.parametrize("how", ["1.2", "1.2 without tickets", "1.3"])
 def test_a_session_that_is_resumed_keeps_its_role(
-    stage: Stage, pki: Pki, served: tuple[Server, int], roles: list[str | None], how: str
+    lan: Lan, pki: Pki, served: tuple[Server, int], roles: list[str | None], how: str
 ) -> None:
     server, port = served
     context_ = context(pki, certificates.client("Chief"), VERSIONS[how[:3]])
@@ -357,7 +357,7 @@ def test_a_session_that_is_resumed_keeps_its_role(
         context_.options |= ssl.OP_NO_TICKET
     session = None
     for turn in range(3):  # R-42, R-43
-        with TlsClient(port, context_, session, stage=stage).handshake() as client:
+        with TlsClient(port, context_, session, lan=lan).handshake() as client:
             assert client.is_answered()
             assert client.tls.session_reused == (turn > 0)
             session = client.tls.session
@@ -367,19 +367,19 @@ def test_a_session_that_is_resumed_keeps_its_role(
 
 @VERSION
 def test_a_certificate_that_expired_meanwhile_resumes_nothing(
-    stage: Stage, pki: Pki, served: tuple[Server, int], caplog, monkeypatch, version: ssl.TLSVersion
+    lan: Lan, pki: Pki, served: tuple[Server, int], caplog, monkeypatch, version: ssl.TLSVersion
 ) -> None:
     """OpenSSL looks at the dates when a session begins, and not again."""
     server, port = served
     end = datetime.now(UTC) + timedelta(hours=1)
     identity = certificates.client(begin=end - timedelta(hours=2), days=1 / 12)
     context_ = context(pki, identity, version)
-    with TlsClient(port, context_, stage=stage).handshake() as client:
+    with TlsClient(port, context_, lan=lan).handshake() as client:
         assert client.is_answered()
         session = client.tls.session
     later = SimpleNamespace(time=lambda: end.timestamp() + 1)
     monkeypatch.setattr("libmodbus_py.security.tunnel.time", later)
-    with caplog.at_level(logging.INFO), TlsClient(port, context_, session, stage=stage) as client:
+    with caplog.at_level(logging.INFO), TlsClient(port, context_, session, lan=lan) as client:
         client.handshake()
         assert client.tls.session_reused
         assert client.ask(ONE, 1) == b""

@@ -17,7 +17,7 @@ from functools import partial
 import pytest
 
 from libmodbus_py import Limits
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support import certificates
 from tests.support.attacks import ServerProcess, connect
 from tests.support.certificates import Pki
@@ -80,22 +80,22 @@ GARBAGE: dict[str, Callable[[], bytes]] = {
 
 @pytest.mark.parametrize("what", GARBAGE)
 @pytest.mark.parametrize("behind", ["at once", "behind a hello"])
-def test_other_bytes_end_the_connection(stage: Stage, pki: Pki, what, behind, caplog) -> None:
+def test_other_bytes_end_the_connection(lan: Lan, pki: Pki, what, behind, caplog) -> None:
     data = (hello(pki) if behind != "at once" else b"") + GARBAGE[what]()
     limits = Limits(handshake_timeout=1)
     with nothing_loud(caplog), serving(pki, limits=limits) as (server, port):
-        with stage.talk(port) as hostile:
+        with lan.client(port) as hostile:
             with contextlib.suppress(OSError):
                 hostile.sendall(data)
                 hostile.shutdown(socket.SHUT_WR)
             closed(hostile)
         statistics = server.statistics
-        assert stage.until(lambda: statistics.connections == 0)
+        assert lan.until(lambda: statistics.connections == 0)
         assert statistics.handshakes == statistics.requests == 0
-        assert is_served(pki, port, stage)
+        assert is_served(pki, port, lan)
 
 
-def test_a_hello_with_anything_in_it_does_no_harm(stage: Stage, pki: Pki, caplog) -> None:
+def test_a_hello_with_anything_in_it_does_no_harm(lan: Lan, pki: Pki, caplog) -> None:
     """Bytes of a good one are changed, a few at a time."""
     good, chance = hello(pki), random.Random(7)
     with nothing_loud(caplog), serving(pki) as (server, port):
@@ -103,13 +103,13 @@ def test_a_hello_with_anything_in_it_does_no_harm(stage: Stage, pki: Pki, caplog
             bad = bytearray(good)
             for _ in range(chance.choice((1, 2, 8))):
                 bad[chance.randrange(len(bad))] = chance.randrange(256)
-            with stage.talk(port) as hostile:
+            with lan.client(port) as hostile:
                 hostile.sendall(bytes(bad))
                 with contextlib.suppress(OSError):  # the server may have closed before
                     hostile.shutdown(socket.SHUT_WR)
                 closed(hostile)
-        assert stage.until(lambda: server.statistics.connections == 0)
-        assert is_served(pki, port, stage)
+        assert lan.until(lambda: server.statistics.connections == 0)
+        assert is_served(pki, port, lan)
 
 
 def test_resets_at_any_time_leave_nothing(pki: Pki, caplog: pytest.LogCaptureFixture) -> None:
@@ -154,13 +154,13 @@ AFTER: dict[str, Callable[[TlsClient], bytes]] = {
 @VERSION
 @pytest.mark.parametrize("what", AFTER)
 def test_what_is_no_record_ends_the_connection_but_no_other(
-    stage: Stage, pki: Pki, what: str, version: ssl.TLSVersion, caplog: pytest.LogCaptureFixture
+    lan: Lan, pki: Pki, what: str, version: ssl.TLSVersion, caplog: pytest.LogCaptureFixture
 ) -> None:
     with (
         nothing_loud(caplog),
         serving(pki) as (server, port),
-        connected(stage, pki, port, version) as innocent,
-        connected(stage, pki, port, version) as hostile,
+        connected(lan, pki, port, version) as innocent,
+        connected(lan, pki, port, version) as hostile,
     ):
         assert hostile.is_answered()
         # Behind a request, in one segment: what fails must not cost others their answers.
@@ -172,12 +172,12 @@ def test_what_is_no_record_ends_the_connection_but_no_other(
             hostile.socket.shutdown(socket.SHUT_WR)
         closed(hostile.socket)
         assert innocent.receive(2 * len(ONE_ANSWER)) == 2 * ONE_ANSWER
-        assert stage.until(lambda: server.statistics.connections == 1)
+        assert lan.until(lambda: server.statistics.connections == 1)
         assert innocent.is_answered()
 
 
-def test_a_bad_record_is_answered_by_an_alert(stage: Stage, pki: Pki) -> None:
-    with talking(stage, pki) as (server, client):
+def test_a_bad_record_is_answered_by_an_alert(lan: Lan, pki: Pki) -> None:
+    with talking(lan, pki) as (server, client):
         client.socket.sendall(flipped(client.encrypt(ONE)))
         with pytest.raises(ssl.SSLError, match="BAD_RECORD_MAC"):
             client.read()
@@ -237,16 +237,16 @@ def test_openssl_may_not_negotiate_again_but_change_its_keys(pki: Pki, command: 
         assert is_served(pki, port)
 
 
-def test_a_fatal_alert_in_the_middle_of_a_session_ends_it(stage: Stage, pki: Pki) -> None:
+def test_a_fatal_alert_in_the_middle_of_a_session_ends_it(lan: Lan, pki: Pki) -> None:
     """Python's ssl sends one when what it gets is not a record."""
-    with talking(stage, pki) as (server, client):
+    with talking(lan, pki) as (server, client):
         assert client.is_answered()
         client._incoming.write(record(23, bytes(40)))
         with pytest.raises(ssl.SSLError):
             client.tls.read(100)
         client._flush()
         closed(client.socket)
-        assert stage.until(lambda: server.statistics.connections == 0)
+        assert lan.until(lambda: server.statistics.connections == 0)
         assert server.statistics.closed_out_of_step == 1
 
 

@@ -16,12 +16,12 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Device, Fault, Limits, Mapping
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support import certificates
 from tests.support.attacks import ANSWER_ONE, READ_MOST, READ_ONE, adu
 from tests.support.certificates import Pki
 from tests.support.interop import our_tls_server
-from tests.support.served import KINDS, NEVER
+from tests.support.lan_server import KINDS, NEVER
 from tests.support.tls import (
     ONE,
     ONE_ANSWER,
@@ -58,10 +58,10 @@ def answers(count: int) -> bytes:
     "cut", ["a record", "a byte in a record", "a record in bytes", "two records", "one and a half"]
 )
 def test_records_may_cut_requests_anywhere(
-    stage: Stage, pki: Pki, way: dict[str, Any], cut: str, version: ssl.TLSVersion
+    lan: Lan, pki: Pki, way: dict[str, Any], cut: str, version: ssl.TLSVersion
 ) -> None:
     data = requests(50)
-    with talking(stage, pki, version=version, **way) as (server, client):
+    with talking(lan, pki, version=version, **way) as (server, client):
         if cut == "a record":
             client.send(data)
         elif cut == "a byte in a record":
@@ -72,7 +72,7 @@ def test_records_may_cut_requests_anywhere(
         else:
             end = 7 if cut == "two records" else 18
             client.send(data[:end])
-            stage.pass_time(1)
+            lan.pass_time(1)
             client.send(data[end:])
         assert client.receive(len(answers(50))) == answers(50)
         assert server.statistics.requests == 50
@@ -81,7 +81,7 @@ def test_records_may_cut_requests_anywhere(
 @pytest.mark.parametrize("rate", [None, 1000])
 @pytest.mark.parametrize("cuts", [[12], [12, 24], [12, 30], [12, 36, 40]], ids=repr)
 def test_records_read_together_are_carried_out_in_order(
-    stage: Stage, pki: Pki, way: dict[str, Any], cuts: list[int], rate: int | None
+    lan: Lan, pki: Pki, way: dict[str, Any], cuts: list[int], rate: int | None
 ) -> None:
     """The first holds one request and nothing else; what follows does not overtake it."""
     pdus = ("06 0000 0005", "03 0000 0001", "06 0000 0006", "03 0000 0001")
@@ -93,13 +93,13 @@ def test_records_read_together_are_carried_out_in_order(
     edges = [0, *cuts, len(requests)]
     pieces = [requests[start:end] for start, end in itertools.pairwise(edges)]
     limits = Limits(requests_per_second=rate)
-    with talking(stage, pki, **way, limits=limits) as (server, client):
+    with talking(lan, pki, **way, limits=limits) as (server, client):
         client.send(*pieces)
         assert client.receive(len(response)) == response
         assert server.statistics.requests == 4
 
 
-def test_a_record_full_of_requests_is_answered_in_slices(stage: Stage, pki: Pki) -> None:
+def test_a_record_full_of_requests_is_answered_in_slices(lan: Lan, pki: Pki) -> None:
     """Others have their turns between: what one record carries is up to 1365 requests."""
     turns: list[str] = []
     device = Device(
@@ -108,12 +108,12 @@ def test_a_record_full_of_requests_is_answered_in_slices(stage: Stage, pki: Pki)
     count = 16_384 // 12
     with (
         serving(pki, device) as (_, port),
-        connected(stage, pki, port) as greedy,
-        connected(stage, pki, port) as modest,
+        connected(lan, pki, port) as greedy,
+        connected(lan, pki, port) as modest,
     ):
         record = greedy.encrypt(requests(count))
         greedy.socket.sendall(record[:-1])
-        stage.pass_time(1)  # all but the last byte is with the server
+        lan.pass_time(1)  # all but the last byte is with the server
         modest.send(ONE)
         greedy.socket.sendall(record[-1:])
         modest.send(ONE)
@@ -127,10 +127,10 @@ def test_a_record_full_of_requests_is_answered_in_slices(stage: Stage, pki: Pki)
 
 @VERSION
 def test_requests_in_the_last_flight_of_the_handshake_are_answered(
-    stage: Stage, pki: Pki, version: ssl.TLSVersion
+    lan: Lan, pki: Pki, version: ssl.TLSVersion
 ) -> None:
     context_ = context(pki, certificates.client(), version)
-    with serving(pki) as (_, port), TlsClient(port, context_, stage=stage) as client:
+    with serving(pki) as (_, port), TlsClient(port, context_, lan=lan) as client:
         client.socket.sendall(client.hello())
         # The client's own end of the handshake, and 50 requests behind it, in one segment.
         while True:
@@ -147,12 +147,12 @@ def test_requests_in_the_last_flight_of_the_handshake_are_answered(
 
 @VERSION
 def test_close_notify_behind_a_request_gets_the_answer_and_close_notify(
-    stage: Stage, pki: Pki, way: dict[str, Any], version: ssl.TLSVersion
+    lan: Lan, pki: Pki, way: dict[str, Any], version: ssl.TLSVersion
 ) -> None:
     with serving(pki, **way) as (server, port):
-        with connected(stage, pki, port, version) as other:
+        with connected(lan, pki, port, version) as other:
             for count in (1, 2, 1365):
-                with connected(stage, pki, port, version) as client:
+                with connected(lan, pki, port, version) as client:
                     data = client.encrypt(requests(count))
                     # In one segment, if it is short: both are received in one turn.
                     client.socket.sendall(data + client.goodbye())
@@ -160,7 +160,7 @@ def test_close_notify_behind_a_request_gets_the_answer_and_close_notify(
                     received = raw_records(client)
                     assert len(received) > len(answers(count))
                     assert other.receive(len(ONE_ANSWER)) == ONE_ANSWER
-        assert stage.until(lambda: server.statistics.connections == 0)
+        assert lan.until(lambda: server.statistics.connections == 0)
         assert server.statistics.requests == 1 + 2 + 1365 + 3
         assert server.statistics.closed_out_of_step == 0
 
@@ -173,47 +173,47 @@ def raw_records(client: TlsClient) -> bytes:
     return data
 
 
-def test_records_behind_close_notify_are_ignored(stage: Stage, pki: Pki) -> None:
-    with talking(stage, pki) as (server, client):
+def test_records_behind_close_notify_are_ignored(lan: Lan, pki: Pki) -> None:
+    with talking(lan, pki) as (server, client):
         late = client.encrypt(ONE)
         client.socket.sendall(client.goodbye() + late * 3)
         raw_records(client)
         assert server.statistics.requests == 0
 
 
-def test_answers_that_are_kept_back_come_in_order(stage: Stage, pki: Pki) -> None:
+def test_answers_that_are_kept_back_come_in_order(lan: Lan, pki: Pki) -> None:
     late = {None: [Fault("delay", seconds=200, every=3)]}
-    with talking(stage, pki, faults=late) as (_, client):
+    with talking(lan, pki, faults=late) as (_, client):
         client.send(requests(4), *(adu(READ_ONE, number) for number in range(4, 8)))
         assert client.receive(len(answers(8))) == answers(8)
 
 
 def test_a_client_that_reads_late_gets_every_answer(
-    stage: Stage, pki: Pki, way: dict[str, Any]
+    lan: Lan, pki: Pki, way: dict[str, Any]
 ) -> None:
     """A record has 350 kB of answers; two are more than the network in memory carries."""
     count, limits = 1365, Limits(max_unsent=10_000)
     block = b"".join(adu(READ_MOST, number) for number in range(count))
-    with talking(stage, pki, **way, limits=limits) as (server, client):
+    with talking(lan, pki, **way, limits=limits) as (server, client):
         for _ in range(2):
             client.send(block)
-        assert stage.until(lambda: server.statistics.paused > 0)
+        assert lan.until(lambda: server.statistics.paused > 0)
         before = server.statistics.requests
-        stage.pass_time(600)
+        lan.pass_time(600)
         assert server.statistics.requests == before < 2 * count
         for number in itertools.chain(range(count), range(count)):
             answer = client.receive(len(MOST_ANSWER))
             assert answer == struct.pack(">H", number) + MOST_ANSWER[2:]
 
 
-def test_requests_per_second_hold_within_a_record(stage: Stage, pki: Pki, way: dict[str, Any]):
+def test_requests_per_second_hold_within_a_record(lan: Lan, pki: Pki, way: dict[str, Any]):
     limits = Limits(requests_per_second=200)
-    with talking(stage, pki, limits=limits, **way) as (server, client):
-        begin = stage.now
+    with talking(lan, pki, limits=limits, **way) as (server, client):
+        begin = lan.now
         client.send(requests(800))
         assert client.receive(len(answers(800))) == answers(800)
         # 200 at once, the rest at 200 a second; the last slice is not waited for.
-        assert 2.0 < stage.now - begin <= 3.01
+        assert 2.0 < lan.now - begin <= 3.01
         assert server.statistics.throttled > 1
 
 
@@ -274,26 +274,26 @@ ENDS: dict[str, tuple[Callable[[TlsClient], object], float, str]] = {
 @VERSION
 @pytest.mark.parametrize("what", ENDS)
 def test_a_client_that_is_closed_gets_close_notify(
-    stage: Stage, pki: Pki, what: str, version: ssl.TLSVersion
+    lan: Lan, pki: Pki, what: str, version: ssl.TLSVersion
 ) -> None:
     act, seconds, counter = ENDS[what]
     limits = Limits(frame_timeout=30, idle_timeout=300)
     faults = {None: [Fault("disconnect", function=7)]} if what == "a fault" else None
-    with talking(stage, pki, version=version, limits=limits, faults=faults) as (server, client):
+    with talking(lan, pki, version=version, limits=limits, faults=faults) as (server, client):
         assert client.is_answered()
-        start = stage.now
+        start = lan.now
         act(client)
         assert client.read() == b""
-        assert seconds <= stage.now - start <= seconds + 1.01
+        assert seconds <= lan.now - start <= seconds + 1.01
         statistics = asdict(server.statistics)
         counts = {name: count for name, count in statistics.items() if name.startswith("closed")}
         assert counts == {name: int(name == counter) for name in counts}
 
 
 @VERSION
-def test_a_server_that_ends_sends_close_notify(stage: Stage, pki: Pki, version: ssl.TLSVersion):
+def test_a_server_that_ends_sends_close_notify(lan: Lan, pki: Pki, version: ssl.TLSVersion):
     with serving(pki) as (_, port):
-        client = connected(stage, pki, port, version)
+        client = connected(lan, pki, port, version)
         assert client.is_answered()
     with client:
         assert client.read() == b""

@@ -31,12 +31,12 @@ from libmodbus_py import (
     Traced,
 )
 from libmodbus_py.tools.testing.wires import SerialWire
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.attacks import ask, connect
 from tests.support.cases import each_case
 from tests.support.certificates import Pki, secured
+from tests.support.driver import ascii_frame, rtu
 from tests.support.peers import until
-from tests.support.talk import ascii_frame, rtu
 from tests.support.transports import serving
 
 READ = bytes.fromhex("0001 0000 0006 11 03 0000 0002")
@@ -158,16 +158,16 @@ def test_a_spoilt_answer_is_traced_as_sent_and_the_next_one_whole(fault, spoilt)
     assert frames[-1].function == 3
 
 
-def test_a_delayed_answer_is_traced_when_it_is_sent(stage: Stage) -> None:
+def test_a_delayed_answer_is_traced_when_it_is_sent(lan: Lan) -> None:
     frames: list[Traced] = []
     server = Server(
         {17: made_device()}, faults={17: [Fault("delay", seconds=10)]}, trace=frames.append
     )
-    with server.background("tcp://10.0.0.1:0") as running, stage.talk(running.urls[0]) as talker:
+    with server.background("tcp://10.0.0.1:0") as running, lan.client(running.urls[0]) as talker:
         talker.send(READ + READ)
-        stage.pass_time(5)
+        lan.pass_time(5)
         assert [each.direction for each in frames] == ["received"] * 2
-        stage.pass_time(10)
+        lan.pass_time(10)
         assert [each.direction for each in frames] == ["received"] * 2 + ["sent"]
 
 

@@ -13,13 +13,13 @@ from libmodbus_py.server import limits
 from libmodbus_py.server import udp as source_module
 from libmodbus_py.server.limits import Address, Allowance, Limits, ServerStatistics
 from libmodbus_py.server.udp import Sources
-from tests.simulation.stage import Stage, Talker
+from tests.simulation.lan import Lan, LanClient
 from tests.support import attacks, vectors
 from tests.support.attacks import READ_MOST, READ_ONE, UNIT, adu, connect
 from tests.support.cases import each_case
+from tests.support.driver import ascii_frame, rtu, tcp
+from tests.support.lan_server import ANSWER_MOST, ANSWER_ONE, NEVER, OTHER, ask, server_on, unit_one
 from tests.support.names import NEEDS_IPV6
-from tests.support.served import ANSWER_MOST, ANSWER_ONE, NEVER, OTHER, ask, served, unit_one
-from tests.support.talk import ascii_frame, rtu, tcp
 
 READ, ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
 
@@ -54,7 +54,7 @@ def test_answers_go_to_who_asked_with_the_transaction_of_the_request(url, device
         assert server.statistics.connections == server.statistics.accepted == 0
 
 
-def answer(client: Talker, pdu: bytes, transaction: int = 1) -> bytes:
+def answer(client: LanClient, pdu: bytes, transaction: int = 1) -> bytes:
     client.send(adu(pdu, transaction))
     return client.recv(1000)
 
@@ -64,14 +64,14 @@ WORKED = [vector.values[0] for vector in vectors.rows(vectors.REQUESTS)]
 LONGEST = bytes.fromhex("10 0000 007b f6") + bytes(246)
 
 
-def test_the_longest_request_and_the_longest_answer(stage: Stage) -> None:
-    with served(stage, scheme="udp") as server, server.connect() as client:
+def test_the_longest_request_and_the_longest_answer(lan: Lan) -> None:
+    with server_on(lan, scheme="udp") as server, server.connect() as client:
         assert answer(client, LONGEST) == adu(LONGEST[:5])
         assert answer(client, READ_MOST) == adu(ANSWER_MOST)
 
 
 @pytest.mark.parametrize("faulty", [False, True])
-def test_worked_requests_are_answered_as_on_tcp(stage: Stage, subtests: pytest.Subtests, faulty):
+def test_worked_requests_are_answered_as_on_tcp(lan: Lan, subtests: pytest.Subtests, faulty):
     """The same device as on TCP, and that the answer is of this request."""
     faults = {None: [Fault("no_answer", function=100)]} if faulty else None
     for number, vector in enumerate(WORKED):
@@ -80,7 +80,7 @@ def test_worked_requests_are_answered_as_on_tcp(stage: Stage, subtests: pytest.S
             for scheme in ("udp", "tcp"):
                 server = Server(Device(Mapping(65536, 65536, 65536, 65536)), faults=faults)
                 with server.background(f"{scheme}://127.0.0.1:0") as running:
-                    client = stage.talk(running.urls[0], "127.0.0.1")
+                    client = lan.client(running.urls[0], "127.0.0.1")
                     client.sendall(vector.tcp)
                     answers.append(client.recv(1000))
             assert answers[0] == answers[1]
@@ -90,32 +90,32 @@ def test_worked_requests_are_answered_as_on_tcp(stage: Stage, subtests: pytest.S
 
 
 @pytest.mark.parametrize("allow", ["10.255.0.2/32", "2001:db8::/32"])
-def test_hosts_outside_are_not_answered(stage: Stage, allow: str) -> None:
-    with served(stage, scheme="udp", allow=[allow]) as server, server.connect() as client:
+def test_hosts_outside_are_not_answered(lan: Lan, allow: str) -> None:
+    with server_on(lan, scheme="udp", allow=[allow]) as server, server.connect() as client:
         client.send(adu(READ_ONE))
-        stage.pass_time(60)
+        lan.pass_time(60)
         assert not client.has_input()
         assert server.counts(disallowed=1, requests=0)
 
 
-def test_too_many_requests_are_dropped_for_one_address_only(stage: Stage) -> None:
+def test_too_many_requests_are_dropped_for_one_address_only(lan: Lan) -> None:
     with (
-        served(stage, scheme="udp", requests_per_second=5) as server,
+        server_on(lan, scheme="udp", requests_per_second=5) as server,
         server.connect() as eager,
         server.connect(OTHER) as other,
     ):
-        start = stage.now
+        start = lan.now
         for transaction in range(200):
             eager.send(adu(READ_ONE, transaction))
-        assert stage.until(lambda: server.statistics.requests + server.statistics.throttled == 200)
+        assert lan.until(lambda: server.statistics.requests + server.statistics.throttled == 200)
         # Five are free, and the one that overdraws is answered.
-        assert stage.now - start < 0.01
+        assert lan.now - start < 0.01
         assert server.statistics.requests == 6
         ask(other, 500)
         answers = [eager.recv(1000) for _ in range(6)]
         assert answers == [adu(ANSWER_ONE, transaction) for transaction in range(6)]
         eager.send(adu(READ_ONE, 599))
-        stage.pass_time(0.21)  # after a fifth of a second it may ask again
+        lan.pass_time(0.21)  # after a fifth of a second it may ask again
         assert not eager.has_input()
         ask(eager, 600)
 
@@ -126,36 +126,36 @@ MASK = bytes.fromhex("16 0064 00f2 0025")
 
 
 @pytest.mark.parametrize("pdu", [WRITE, QUERY, MASK], ids=["write", "query", "mask"])
-def test_a_server_does_not_answer_itself_for_ever(stage: Stage, pdu: bytes, device: Device) -> None:
+def test_a_server_does_not_answer_itself_for_ever(lan: Lan, pdu: bytes, device: Device) -> None:
     server = Server({UNIT: device})
     with server.background("udp://127.0.0.1:0", "udp://127.0.0.1:0") as running:
         first, second = (("127.0.0.1", parse(url).port) for url in running.urls)
         for source, target in ((first, first), (first, second), (second, first)):
-            stage.send_datagram(adu(pdu), source, target)
-        assert stage.until(lambda: server.statistics.reflected == 3)
+            lan.send_datagram(adu(pdu), source, target)
+        assert lan.until(lambda: server.statistics.reflected == 3)
         requests = server.statistics.requests
-        stage.pass_time(3600)
+        lan.pass_time(3600)
         assert server.statistics.reflected == 3
         assert server.statistics.requests == requests <= 3 * 13
 
 
-def test_two_servers_do_not_answer_each_other_for_ever(stage: Stage) -> None:
-    with served(stage, scheme="udp") as one, served(stage, scheme="udp") as other:
+def test_two_servers_do_not_answer_each_other_for_ever(lan: Lan) -> None:
+    with server_on(lan, scheme="udp") as one, server_on(lan, scheme="udp") as other:
         servers, places = (one, other), (one.place, other.place)
         for transaction in range(10):
             for source, target in (places, places[::-1]):
-                stage.send_datagram(adu(WRITE, transaction), source, target)
-        stage.pass_time(1)
+                lan.send_datagram(adu(WRITE, transaction), source, target)
+        lan.pass_time(1)
         assert sum(server.statistics.reflected for server in servers) == 20
         before = [server.statistics.requests for server in servers]
         assert sum(before) <= 20 * 24
-        stage.pass_time(3600)
+        lan.pass_time(3600)
         assert [server.statistics.requests for server in servers] == before
 
 
 @pytest.mark.parametrize("pdu", [WRITE, QUERY, MASK], ids=["write", "query", "mask"])
-def test_an_answer_that_comes_back_is_not_answered_for_ever(stage: Stage, pdu: bytes) -> None:
-    with served(stage, scheme="udp") as server, server.connect() as client:
+def test_an_answer_that_comes_back_is_not_answered_for_ever(lan: Lan, pdu: bytes) -> None:
+    with server_on(lan, scheme="udp") as server, server.connect() as client:
         client.settimeout(500)
         datagram = adu(pdu)
         with contextlib.suppress(TimeoutError):
@@ -167,8 +167,8 @@ def test_an_answer_that_comes_back_is_not_answered_for_ever(stage: Stage, pdu: b
         assert answer(client, pdu, 2) == adu(pdu, 2)
 
 
-def test_clients_that_write_or_ask_again_are_answered(stage: Stage) -> None:
-    with served(stage, scheme="udp") as server, server.connect() as client:
+def test_clients_that_write_or_ask_again_are_answered(lan: Lan) -> None:
+    with server_on(lan, scheme="udp") as server, server.connect() as client:
         for transaction in range(300):
             assert answer(client, WRITE, transaction) == adu(WRITE, transaction)
         for _ in range(300):  # some never count
@@ -179,16 +179,16 @@ def test_clients_that_write_or_ask_again_are_answered(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("source", [502, 802, None], ids=str)
-def test_a_client_may_send_from_the_ports_of_modbus_and_of_the_server(stage: Stage, source) -> None:
-    with served(stage, scheme="udp") as server:
+def test_a_client_may_send_from_the_ports_of_modbus_and_of_the_server(lan: Lan, source) -> None:
+    with server_on(lan, scheme="udp") as server:
         for transaction in range(30):
             place = ("10.0.0.9", source or server.place[1])
-            stage.send_datagram(adu(WRITE, transaction), place, server.place)
+            lan.send_datagram(adu(WRITE, transaction), place, server.place)
         assert server.counts(requests=30, reflected=0)
 
 
-def test_a_client_that_repeats_one_write_quickly_is_dropped_once_in_a_while(stage: Stage) -> None:
-    with served(stage, scheme="udp") as server, server.connect() as client:
+def test_a_client_that_repeats_one_write_quickly_is_dropped_once_in_a_while(lan: Lan) -> None:
+    with server_on(lan, scheme="udp") as server, server.connect() as client:
         for _ in range(48):
             client.send(adu(WRITE))
         assert server.counts(requests=45, reflected=3)
@@ -207,7 +207,7 @@ def test_a_client_that_repeats_one_write_quickly_is_dropped_once_in_a_while(stag
     ],
 )
 def test_addresses_of_other_machines_get_no_more_than_a_thousand_answers_a_second(
-    stage: Stage, host: str, rate: int | None, at_once: int, later: int
+    lan: Lan, host: str, rate: int | None, at_once: int, later: int
 ) -> None:
     """None of them is on this machine, so nothing is sent."""
 
@@ -217,9 +217,9 @@ def test_addresses_of_other_machines_get_no_more_than_a_thousand_answers_a_secon
     def admitted() -> int:
         return sum(sources.admit(adu(READ, number), (host, 40_000)) for number in range(3000))
 
-    sources = stage.wait(made())
+    sources = lan.wait(made())
     assert admitted() == at_once
-    stage.pass_time(0.1)
+    lan.pass_time(0.1)
     assert admitted() == later
 
 
@@ -242,20 +242,20 @@ async def test_however_many_sources_are_forged_little_is_remembered(monkeypatch)
     assert remembered(Allowance) - before[1] == 200 + 300
 
 
-def test_a_late_answer_does_not_hold_up_the_others(stage: Stage) -> None:
+def test_a_late_answer_does_not_hold_up_the_others(lan: Lan) -> None:
     faults = {UNIT: [Fault("delay", seconds=300, every=2)]}
     with (
-        served(stage, scheme="udp", faults=faults) as server,
+        server_on(lan, scheme="udp", faults=faults) as server,
         server.connect() as client,
         server.connect() as other,
     ):
         ask(client, 1)
-        start = stage.now
+        start = lan.now
         client.send(adu(READ_ONE, 2))
         ask(other, 3)
-        assert stage.now - start < 0.01
+        assert lan.now - start < 0.01
         assert client.recv(1000) == adu(ANSWER_ONE, 2)
-        assert stage.now - start == pytest.approx(300, abs=0.01)
+        assert lan.now - start == pytest.approx(300, abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -269,31 +269,31 @@ def test_a_late_answer_does_not_hold_up_the_others(stage: Stage) -> None:
     ],
     ids=lambda value: value.kind if isinstance(value, Fault) else "",
 )
-def test_faults_change_answers_to_datagrams(stage: Stage, fault: Fault, response: bytes) -> None:
+def test_faults_change_answers_to_datagrams(lan: Lan, fault: Fault, response: bytes) -> None:
     faults = {None: [fault]}
-    with served(stage, scheme="udp", faults=faults) as server, server.connect() as client:
+    with server_on(lan, scheme="udp", faults=faults) as server, server.connect() as client:
         for _ in range(3):
             assert answer(client, READ_ONE, 7) == response
 
 
-def test_an_answer_still_kept_back_does_not_keep_the_server(stage: Stage) -> None:
+def test_an_answer_still_kept_back_does_not_keep_the_server(lan: Lan) -> None:
     faults = {None: [Fault("delay", seconds=600)]}
-    with served(stage, scheme="udp", faults=faults) as server, server.connect() as client:
+    with server_on(lan, scheme="udp", faults=faults) as server, server.connect() as client:
         client.send(adu(READ_MOST))
         assert server.counts(requests=1)
-        start = stage.now
-    assert stage.now - start < 0.01
+        start = lan.now
+    assert lan.now - start < 0.01
 
 
-def test_no_more_than_so_many_answers_are_kept_back(stage: Stage, monkeypatch) -> None:
+def test_no_more_than_so_many_answers_are_kept_back(lan: Lan, monkeypatch) -> None:
     """Requests that arrive meanwhile are lost."""
     monkeypatch.setattr(source_module, "REMEMBERED_MAX", 100)
     faults = {None: [Fault("delay", seconds=600)]}
-    with served(stage, scheme="udp", faults=faults) as server, server.connect() as client:
+    with server_on(lan, scheme="udp", faults=faults) as server, server.connect() as client:
         for number in range(120):
             client.send(adu(READ_ONE, number))
         assert server.counts(requests=100)
-        stage.pass_time(600)
+        lan.pass_time(600)
         client.send(adu(READ_ONE, 2000))
         assert server.counts(requests=101)
 
@@ -350,17 +350,17 @@ def damaged(scheme: str) -> Iterator[bytes]:
     ids=["plain", "faulty", "gateway"],
 )
 @pytest.mark.parametrize("scheme", DATAGRAMS)
-def test_a_datagram_that_is_no_frame_is_counted_once(stage: Stage, scheme, settings) -> None:
+def test_a_datagram_that_is_no_frame_is_counted_once(lan: Lan, scheme, settings) -> None:
     url, encode = f"{scheme}://10.0.0.1:1502", DATAGRAMS[scheme]
-    with unit_one(url, **settings) as (server, _), stage.talk(url) as client:
+    with unit_one(url, **settings) as (server, _), lan.client(url) as client:
         statistics = server.statistics
         for count, datagram in enumerate(damaged(scheme), 1):
             client.sendall(datagram)
-            stage.pass_time(0.01)
+            lan.pass_time(0.01)
             assert statistics.bad_frames == count, datagram
         client.send(b"")  # is nothing
         assert statistics.requests == 0
         client.sendall(encode("01 03 0000 0001"))
-        stage.pass_time(1)
+        lan.pass_time(1)
         assert client.recv(300) == encode("01 03 02 0000")
         assert statistics.bad_frames == count

@@ -12,7 +12,7 @@ import pytest
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.services.tasks import AGAIN, FINISHING_S
-from tests.simulation.given import simulated
+from tests.simulation.runner import simulated
 from tests.support.outputs import FakeOutput, reading
 
 

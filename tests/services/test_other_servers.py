@@ -48,15 +48,15 @@ def read(text: str, *, may_have_path: bool = False) -> ServerUrl:
 
 
 @each_case(
-    ("text", "expected"),
+    ("text", "server"),
     [
         ("mqtt://192.0.2.1", ServerUrl("mqtt", "192.0.2.1", 1883)),
         ("MQTTS://Broker.Example/", ServerUrl("mqtts", "broker.example", 8883)),
         ("mqtt://[2001:DB8::1]:7", ServerUrl("mqtt", "2001:db8::1", 7)),
     ],
 )
-def test_a_url_is_read(text: str, expected: ServerUrl) -> None:
-    assert read(text) == expected
+def test_a_url_is_read(text: str, server: ServerUrl) -> None:
+    assert read(text) == server
 
 
 @each_case(
@@ -101,12 +101,12 @@ def test_a_login_on_the_command_line(tmp_path: Path, command: tuple[str, ...], u
     file = tmp_path / "fleet.toml"
     file.write_text(FLEET.format(output=""))
     words = [str(file) if each == "FILE" else each for each in command]
-    done = run(*words, url)
-    said = done.out + done.err
-    assert done.code == 2
-    assert "engine must not contain a user or password" in said
-    assert "NATS_CREDS" in said
-    assert "ecret" not in said
+    result = run(*words, url)
+    output = result.out + result.err
+    assert result.code == 2
+    assert "engine must not contain a user or password" in output
+    assert "NATS_CREDS" in output
+    assert "ecret" not in output
 
 
 @each_case("value", ['"sesame"', "4711", '["sesame"]', '{ a = "sesame" }', "true"])

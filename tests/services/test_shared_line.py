@@ -20,26 +20,26 @@ def requests(names: str) -> list[LineRequest]:
 
 
 def order(queue: FairQueue[LineRequest]) -> str:
-    found = []
+    names = []
     while (each := queue.pick(any_of)) is not None:
-        found.append(f"{each.client}{each.unit}")
-    return " ".join(found)
+        names.append(f"{each.client}{each.unit}")
+    return " ".join(names)
 
 
 @each_case(
-    ("given", "expected"),
+    ("queue_text", "turns"),
     [
         ("a0 a1 a2 a3 b0 c0 b1", "a0 b0 c0 a1 b1 a2 a3"),  # clients take turns
         ("a0 b0 c0 d0 x0 x1", "a0 x0 b0 x1 c0 d0"),  # and hosts do
         ("a0 a1 a2", "a0 a1 a2"),
     ],
 )
-def test_hosts_and_their_clients_take_turns(given: str, expected: str) -> None:
+def test_hosts_and_their_clients_take_turns(queue_text: str, turns: str) -> None:
     queue: FairQueue[LineRequest] = FairQueue()
-    asked = requests(given)
-    assert all(map(queue.put, asked))
-    assert queue.count == len(list(queue)) == len(asked)
-    assert order(queue) == expected
+    entries = requests(queue_text)
+    assert all(map(queue.put, entries))
+    assert queue.count == len(list(queue)) == len(entries)
+    assert order(queue) == turns
     assert (queue.count, list(queue), queue.pick(any_of)) == (0, [], None)
 
 

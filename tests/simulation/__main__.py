@@ -16,9 +16,9 @@ from dataclasses import replace
 from itertools import count
 
 from .broken import BREAKS, Break
-from .casts import CASTS
 from .events import START
-from .playing import Failure, chosen, recorded, shortest, tried
+from .runs import Failure, options_of, run_or_failure, seed_options, shortest_options
+from .scenarios import SCENARIOS
 from .world import Options, World
 
 # How much of an exchange is printed.
@@ -35,13 +35,13 @@ class Tally:
         self.runs = 0
         self.seconds = 0.0
         self.calls = 0
-        self.casts: Counter[str] = Counter()
+        self.scenarios: Counter[str] = Counter()
 
     def add(self, options: Options, world: World) -> None:
         self.runs += 1
         self.seconds += world.events.now - START
-        self.calls += world.witness.answered + world.witness.failed
-        self.casts[options.cast] += 1
+        self.calls += world.checker.answered + world.checker.failed
+        self.scenarios[options.scenario] += 1
 
     def __str__(self) -> str:
         return f"{self.runs} runs, {self.seconds / 3600:.2f} simulated hours, {self.calls} calls"
@@ -51,7 +51,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="./run simulate", description=__doc__)
     parser.add_argument("seconds", nargs="?", type=float, default=30.0, help="of fresh seeds")
     parser.add_argument("--seed", type=int, help="of the first fresh run; random otherwise")
-    parser.add_argument("--cast", choices=list(CASTS), help="play this one only")
+    parser.add_argument("--scenario", choices=list(SCENARIOS), help="play this one only")
     parser.add_argument("--hours", type=float, help="of a whole plant in place of fresh seeds")
     parser.add_argument(
         "--broken", action="store_true", help="take out one rule at a time; each must be found"
@@ -66,12 +66,12 @@ def main() -> int:
         runs = [_hour(first + number) for number in range(max(1, round(options.hours)))]
         failure = _try_all(runs, tally)
     else:
-        failure = None if options.seed is not None else _try_all(recorded(), tally)
-        failure = failure or _try_fresh(first, options.seconds, options.cast, tally)
+        failure = None if options.seed is not None else _try_all(seed_options(), tally)
+        failure = failure or _try_fresh(first, options.seconds, options.scenario, tally)
     print(f"{tally}; first fresh seed {first}")
     if failure is None:
         return 0
-    _tell(shortest(failure))
+    _print_failure(shortest_options(failure))
     return 1
 
 
@@ -81,27 +81,27 @@ def _hour(seed: int) -> Options:
 
 def _try_all(runs: list[Options], tally: Tally) -> Failure | None:
     for options in runs:
-        found = tried(options)
-        if isinstance(found, Failure):
-            return found
-        tally.add(options, found)
+        outcome = run_or_failure(options)
+        if isinstance(outcome, Failure):
+            return outcome
+        tally.add(options, outcome)
     return None
 
 
-def _try_fresh(first: int, seconds: float, cast: str | None, tally: Tally) -> Failure | None:
+def _try_fresh(first: int, seconds: float, scenario: str | None, tally: Tally) -> Failure | None:
     until = time.monotonic() + seconds
     for seed in count(first):
         if time.monotonic() >= until:
             return None
-        options = chosen(seed)
-        options = replace(options, cast=cast) if cast else options
+        options = options_of(seed)
+        options = replace(options, scenario=scenario) if scenario else options
         failure = _try_all([options], tally)
         if failure is not None:
             return failure
     return None
 
 
-def _tell(failure: Failure) -> None:
+def _print_failure(failure: Failure) -> None:
     print(f"\nseed {failure.options.seed}\n{failure.error}\n{failure.options}\n")
     for line in list(failure.exchange.raw())[-LINES:]:
         print(line)
@@ -112,9 +112,9 @@ def _find_all() -> int:
     missed = 0
     print("| rule taken out | found after | seed | by the rule |\n|---|--:|--:|---|")
     for each in BREAKS:
-        begun = time.process_time()
+        start = time.process_time()
         failure = find(each, seconds=PATIENCE)
-        took = time.process_time() - begun
+        took = time.process_time() - start
         if failure is None:
             missed += 1
             print(f"| {each.rule} | not within {PATIENCE:g} s | | |", flush=True)
@@ -132,11 +132,11 @@ def find(broken: Break, *, seconds: float = math.inf, seeds: int | None = None) 
     for seed in count() if seeds is None else range(seeds):
         if time.process_time() >= until:
             return None
-        options = broken.options(chosen(seed))
+        options = broken.options(options_of(seed))
         with broken.broken():
-            found = tried(options)
-        if isinstance(found, Failure):
-            return found
+            outcome = run_or_failure(options)
+        if isinstance(outcome, Failure):
+            return outcome
     return None
 
 

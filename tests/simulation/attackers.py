@@ -1,7 +1,7 @@
 """
-The attacks of `tests.support.attacks` on a stage, and an innocent client that counts turns.
+The attacks of `tests.support.attacks` on a LAN, and an innocent client that counts turns.
 
-Nothing takes time on a stage but the network. So what others cost a client is counted in turns of
+Nothing takes time on a LAN but the network. So what others cost a client is counted in turns of
 the server's loop and in requests, from the arrival of its request to the answer.
 """
 
@@ -13,8 +13,8 @@ from typing import Self
 from libmodbus_py.ports.endpoint import parse
 from tests.support.attacks import UNIT, Attack, Step, adu
 
+from .lan import Lan, LanClient
 from .sockets import DELAY, MemorySocket, at_once
-from .stage import Stage, Talker
 
 # How often an attacker that cannot send, or has sent, tries to send again.
 PERIOD = 0.001
@@ -23,10 +23,10 @@ PERIOD = 0.001
 class Attackers:
     """All connections of an attack, each from a host of its own, until it is left."""
 
-    def __init__(self, stage: Stage, attack: Attack, url: str) -> None:
+    def __init__(self, lan: Lan, attack: Attack, url: str) -> None:
         self.attack: Attack = attack
         self.connected = self.sent = self.received = 0
-        self.stage: Stage = stage
+        self.lan: Lan = lan
         self.is_over: bool = False
         endpoint = parse(url)
         self.target: tuple[str, int] = endpoint.host, endpoint.port
@@ -54,24 +54,24 @@ class _Attacker:
 
     def __init__(self, attackers: Attackers, number: int) -> None:
         self._all = attackers
-        self._stage = attackers.stage
+        self._lan = attackers.lan
         self._source = f"10.1.{number // 250}.{1 + number % 250}"
 
     def begin(self) -> None:
         if self._all.is_over:
             return
-        made, _ = self._stage.connect(*self._all.target, self._source)
-        assert made is not None
-        self.end = made
+        connection, _ = self._lan.connect(*self._all.target, self._source)
+        assert connection is not None
+        self.end = connection
         self._script = self._all.attack.script()
         self._step = Step()
         self._awaited = 0
         if self._all.attack.reads:
-            made.on_input = lambda: self._read(made)
+            connection.on_input = lambda: self._read(connection)
         self._later(self._connected, 3 * DELAY)
 
     def _later(self, call: object, seconds: float = PERIOD) -> None:
-        self._stage.events.after(seconds, self._if_open, self.end, call)
+        self._lan.events.after(seconds, self._if_open, self.end, call)
 
     def _if_open(self, end: MemorySocket, call: object) -> None:
         if end is self.end and not end.is_closed and callable(call):
@@ -91,15 +91,15 @@ class _Attacker:
 
     def _write(self, data: bytes) -> None:
         try:
-            sent = self.end.send(data) if data else 0
+            count = self.end.send(data) if data else 0
         except BlockingIOError:
-            sent = 0
+            count = 0
         except OSError:
             self._begin_again()
             return
-        self._all.sent += sent
-        if sent < len(data):
-            self._later(lambda: self._write(data[sent:]))
+        self._all.sent += count
+        if count < len(data):
+            self._later(lambda: self._write(data[count:]))
         elif self._step.pause or not self._awaited:
             self._later(self._go_on, self._step.pause or PERIOD)
 
@@ -120,7 +120,7 @@ class _Attacker:
 
     def _begin_again(self) -> None:
         self.end.close()
-        self._stage.events.after(PERIOD, self.begin)
+        self._lan.events.after(PERIOD, self.begin)
 
 
 @dataclass
@@ -138,8 +138,8 @@ class Innocent:
     FIRST = 1000
     VALUES = tuple(range(40_000, 40_010))
 
-    def __init__(self, stage: Stage, client: Talker, count: Callable[[], int]) -> None:
-        self._stage = stage
+    def __init__(self, lan: Lan, client: LanClient, count: Callable[[], int]) -> None:
+        self._lan = lan
         self._client = client
         self._requests = count
         self._transaction = 0
@@ -147,9 +147,9 @@ class Innocent:
         data = struct.pack(f">{len(self.VALUES)}H", *self.VALUES)
         self._request = struct.pack(">BHH", 3, self.FIRST, len(self.VALUES))
         self._answer = bytes([3, len(data)]) + data
-        written = struct.pack(">BHHB", 16, self.FIRST, len(self.VALUES), len(data)) + data
-        client.sendall(adu(written, 1, UNIT))
-        assert client.receive(12) == adu(written[:5], 1, UNIT)
+        body = struct.pack(">BHHB", 16, self.FIRST, len(self.VALUES), len(data)) + data
+        client.sendall(adu(body, 1, UNIT))
+        assert client.receive(12) == adu(body[:5], 1, UNIT)
         client.end.other.carriage = self._note_answer
 
     def poll(self, requests: int, among: Attackers | None = None) -> Waited:
@@ -162,27 +162,27 @@ class Innocent:
             now = self._requests()
             waited.longest, before = max(waited.longest, now - before), now
 
-        self._stage.call_each_turn(note_turn)
+        self._lan.call_each_turn(note_turn)
         for _ in range(requests):
             if among is not None:
-                sent = among.sent
+                count = among.sent
                 # One second, or what a moment is to those who send nothing.
                 most = 1 if among.attack.sends else PERIOD
-                self._stage.until(lambda: among.sent > sent, most)  # noqa: B023
+                self._lan.until(lambda: among.sent > count, most)  # noqa: B023
             self._ask(waited)
         return waited
 
     def _ask(self, waited: Waited) -> None:
         self._transaction = (self._transaction + 1) & 0xFFFF
-        expected = adu(self._answer, self._transaction, UNIT)
+        answer = adu(self._answer, self._transaction, UNIT)
         self._client.sendall(adu(self._request, self._transaction, UNIT))
-        self._stage.events.after(DELAY, self._note_arrival)
-        assert self._client.receive(len(expected)) == expected
+        self._lan.events.after(DELAY, self._note_arrival)
+        assert self._client.receive(len(answer)) == answer
         waited.turns.append(self._answered[0] - self._arrived[0])
         waited.others.append(self._answered[1] - self._arrived[1] - 1)
 
     def _count(self) -> tuple[int, int]:
-        return self._stage.turns, self._requests()
+        return self._lan.turns, self._requests()
 
     def _note_arrival(self) -> None:
         self._arrived = self._count()

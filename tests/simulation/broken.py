@@ -26,15 +26,16 @@ class Break:
     """One rule that is taken out."""
 
     rule: str
-    casts: tuple[str, ...]
+    scenarios: tuple[str, ...]
     broken: Callable[[], AbstractContextManager[object]]
     faults: tuple[str, ...] = ()
 
-    def options(self, chosen: Options) -> Options:
-        """Return the run of a seed, with one of these casts."""
-        cast = self.casts[chosen.seed % len(self.casts)]
-        faults = self.faults or chosen.faults
-        return replace(chosen, cast=cast, faults=faults, pause=min(chosen.pause, 0.1), seconds=20.0)
+    def options(self, base: Options) -> Options:
+        """Return the run of a seed, with one of these scenarios."""
+        scenario = self.scenarios[base.seed % len(self.scenarios)]
+        faults = self.faults or base.faults
+        pause = min(base.pause, 0.1)
+        return replace(base, scenario=scenario, faults=faults, pause=pause, seconds=20.0)
 
 
 @contextlib.contextmanager
@@ -58,10 +59,10 @@ def _answers_in_any_order() -> Iterator[None]:
 def _any_unit_answers() -> Iterator[None]:
     before = Line._judge
 
-    def judge(self: Any, found: Any, now: float) -> None:
-        asked = self._call
-        is_answer = isinstance(found, Frame) and asked is not None
-        before(self, found._replace(unit=asked.unit) if is_answer else found, now)
+    def judge(self: Any, frame: Any, now: float) -> None:
+        call = self._call
+        is_answer = isinstance(frame, Frame) and call is not None
+        before(self, frame._replace(unit=call.unit) if is_answer else frame, now)
 
     with patch.object(Line, "_judge", judge):
         yield
@@ -125,7 +126,7 @@ BREAKS: tuple[Break, ...] = (
         ("silent unit",),
         lambda: patch.object(SilentUnits, "state", lambda *_: UnitState.GOOD),
     ),
-    Break("hosts take turns", ("crowd",), _only_one_queue),
+    Break("hosts take turns", ("many clients",), _only_one_queue),
     Break(
         "what a caller withdrew is not sent",
         ("tcp", "line", "rtu+tcp"),

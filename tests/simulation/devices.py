@@ -4,7 +4,7 @@ Units that answer over TCP and on lines, each in its own way: late, twice, damag
 Frames are read and made here from the specification, and not by the package. A unit knows two
 functions. A read of five registers (function 3) is answered with the unit, the address and the
 time, so that the value itself says whose it is and how old; a write (function 6) is told to the
-witness.
+checker.
 """
 
 import struct
@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 
 from .events import START, Events
 from .lines import Party, SerialLine
@@ -78,21 +78,21 @@ class Unit:
         self, pdu: bytes, frame: Callable[[bytes], bytes]
     ) -> list[tuple[float, list[bytes]]]:
         """Return what to send for a request: in how many seconds, and the pieces of each frame."""
-        wanted, random = self.behaviour, self._events.random
-        if self._chance(wanted.silent):
+        behaviour, random = self.behaviour, self._events.random
+        if self._chance(behaviour.silent):
             return []
-        after = random.uniform(*wanted.delay)
-        if self._chance(wanted.late):
-            after += random.uniform(0, wanted.lateness)
+        after = random.uniform(*behaviour.delay)
+        if self._chance(behaviour.late):
+            after += random.uniform(0, behaviour.lateness)
         # What it says is what it knows when it was asked, however late it says it.
         adu = frame(self.answer(pdu))
-        found = [(after, self._pieces(adu))]
-        if self._chance(wanted.other_function):
+        pairs = [(after, self._pieces(adu))]
+        if self._chance(behaviour.other_function):
             other = frame(bytes([4, 2, 0, self.number]))
-            found.insert(0, (random.uniform(0, after), [other]))
-        if self._chance(wanted.twice):
-            found.append((after + random.uniform(0, wanted.apart), [adu]))
-        return found
+            pairs.insert(0, (random.uniform(0, after), [other]))
+        if self._chance(behaviour.twice):
+            pairs.append((after + random.uniform(0, behaviour.apart), [adu]))
+        return pairs
 
     def _pieces(self, adu: bytes) -> list[bytes]:
         random = self._events.random

@@ -21,8 +21,8 @@ from libmodbus_py.services.engine.buckets import Bucket, Change
 from libmodbus_py.services.workers.records import BUCKET
 
 from .engine_client import EngineClient, Keys, Link, Message, Subscription
-from .given import giving
 from .network import Network
+from .runner import runner_of
 
 # Seconds that a message takes each way: the least and the most.
 DELAY = (0.0002, 0.002)
@@ -157,8 +157,8 @@ class Engine:
         if self.latest is None:
             reply(js_errors.NoStreamResponseError())
             return
-        known = self.latest.get(key)
-        if (known.revision if known else 0) == last:
+        entry = self.latest.get(key)
+        if (entry.revision if entry else 0) == last:
             reply(self.write(key, value))
         elif value is None:
             text = "wrong last sequence"
@@ -286,11 +286,11 @@ class Engine:
 
 
 def _matches(pattern: str, subject: str) -> bool:
-    wanted, given = pattern.split("."), subject.split(".")
-    if wanted[-1] == ">":
-        wanted, given = wanted[:-1], given[: len(wanted) - 1]
-    return len(wanted) == len(given) and all(
-        one in ("*", other) for one, other in zip(wanted, given, strict=True)
+    tokens, levels = pattern.split("."), subject.split(".")
+    if tokens[-1] == ">":
+        tokens, levels = tokens[:-1], levels[: len(tokens) - 1]
+    return len(tokens) == len(levels) and all(
+        one in ("*", other) for one, other in zip(tokens, levels, strict=True)
     )
 
 
@@ -306,5 +306,5 @@ def _run_with_engine(test: Callable[..., Any]) -> None:
     network.run(main)
 
 
-with_engine = giving(_run_with_engine, count=2)
+with_engine = runner_of(_run_with_engine, count=2)
 """Let a test have a server of NATS on simulated time, and a client of it."""

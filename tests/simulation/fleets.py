@@ -1,4 +1,4 @@
-"""Casts with fleets: workers share devices through an engine, and something happens to them."""
+"""Scenarios with fleets: workers share devices through an engine, and something happens to them."""
 
 import asyncio
 import itertools
@@ -82,7 +82,7 @@ class Fleet:
         """No device is asked by two."""
         if self._trial.asked.doubles:
             url, at, peer = self._trial.asked.doubles[0]
-            self._world.witness.fail("no device is asked by two", f"{url} by {peer} at {at:.3f}")
+            self._world.checker.fail("no device is asked by two", f"{url} by {peer} at {at:.3f}")
 
     async def recover(self) -> None:
         """Everything is there again: each device must be asked."""
@@ -92,7 +92,7 @@ class Fleet:
             if self._world.events.now > now + patience:
                 missing = count - self._trial.asked.since(now)
                 text = f"{missing} of {count} devices are not asked"
-                self._world.witness.fail("everybody is served when the faults are over", text)
+                self._world.checker.fail("everybody is served when the faults are over", text)
                 return
             await asyncio.sleep(0.5)
 
@@ -100,14 +100,14 @@ class Fleet:
 async def fleet(world: World) -> None:
     """Three workers that are killed, stopped and cut off, and an engine that loses and restarts."""
     until = world.events.now + world.options.seconds
-    cast = Fleet(world, places=world.options.units, units=2, interval=0.5)
-    async with cast.polling(3):
+    fleet_ = Fleet(world, places=world.options.units, units=2, interval=0.5)
+    async with fleet_.polling(3):
         while world.events.now < until:
-            await cast.disturb()
-            cast.look()
+            await fleet_.disturb()
+            fleet_.look()
             await asyncio.sleep(world.random.uniform(0, 2 * LEASE))
-        await cast.recover()
-        cast.look()
+        await fleet_.recover()
+        fleet_.look()
 
 
 async def plant(world: World) -> None:
@@ -120,19 +120,20 @@ async def plant(world: World) -> None:
         Route(f"rtu:///dev/line?baudrate=19200&timeout={timeout}", range(1, 1 + half)),
         Route(f"{behind}?timeout={timeout}", range(1 + half, numbers.stop)),
     ]
-    cast = Fleet(world, PLACES, UNITS, interval=60.0, lease=LONG_LEASE)
+    fleet_ = Fleet(world, PLACES, UNITS, interval=60.0, lease=LONG_LEASE)
     until = world.events.now + world.options.seconds
     gateway = Gateway(routes)
-    async with asking_gateway(world, gateway, world.options.clients, 3.0) as asks, cast.polling(3):
+    count = world.options.clients
+    async with asking_gateway(world, gateway, count, 3.0) as asks, fleet_.polling(3):
         acts = (world.act(ask, numbers, until) for ask in asks)
-        await asyncio.gather(*acts, _disturb_until(world, cast, until))
-        await cast.recover()
-        cast.look()
+        await asyncio.gather(*acts, _disturb_until(world, fleet_, until))
+        await fleet_.recover()
+        fleet_.look()
 
 
-async def _disturb_until(world: World, cast: Fleet, until: float) -> None:
+async def _disturb_until(world: World, fleet_: Fleet, until: float) -> None:
     while world.events.now < until:
         await asyncio.sleep(world.random.expovariate(1 / 300.0))
-        await cast.disturb()
-        cast.look()
-        world.witness.forget(world.events.now - 300.0)
+        await fleet_.disturb()
+        fleet_.look()
+        world.checker.forget(world.events.now - 300.0)

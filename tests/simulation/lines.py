@@ -47,10 +47,10 @@ class SerialLine:
         """Carry bytes to all others."""
         if self.on_written is not None:
             self.on_written(sender.is_unit, data)
-        begun = max(self._events.now, self._busy.get(sender, 0.0))
-        ended = self._busy[sender] = begun + len(data) * self.character
+        start = max(self._events.now, self._busy.get(sender, 0.0))
+        end = self._busy[sender] = start + len(data) * self.character
         for later, piece in self.noise(data):
-            self._events.at(ended + later, self._tell, sender, piece)
+            self._events.at(end + later, self._tell, sender, piece)
 
     def unplug(self) -> None:
         """Take the adapter out: whoever has a port open finds it gone."""

@@ -214,12 +214,12 @@ def run(main: Coroutine[Any, Any, Result], loop: VirtualLoop) -> Result:
         asyncio.set_event_loop(loop)
         try:
             result = loop.run_until_complete(main)
-            left = [repr(task.get_coro()) for task in asyncio.all_tasks(loop)]
+            tasks = [repr(task.get_coro()) for task in asyncio.all_tasks(loop)]
         finally:
             cancel_all(loop)
             asyncio.set_event_loop(None)
     assert not complaints, complaints
-    assert not left, left
+    assert not tasks, tasks
     return result
 
 
@@ -241,13 +241,13 @@ def cancel_all(loop: VirtualLoop) -> set[asyncio.Task[Any]]:
     some do not end; they are named.
     """
     loop.before_cancelling()
-    left = asyncio.all_tasks(loop)
-    for task in left:
+    tasks = asyncio.all_tasks(loop)
+    for task in tasks:
         task.cancel()
-    if left:
+    if tasks:
         with contextlib.suppress(Stuck):  # some do not end, and are named below
-            loop.run_until(asyncio.gather(*left, return_exceptions=True).done, LAST_WAIT)
-    endless = [repr(task) for task in left if not task.done()]
+            loop.run_until(asyncio.gather(*tasks, return_exceptions=True).done, LAST_WAIT)
+    endless = [repr(task) for task in tasks if not task.done()]
     assert not endless, f"cancelled, and did not end: {endless}"
     loop.run_until_complete(loop.shutdown_asyncgens())
-    return left
+    return tasks

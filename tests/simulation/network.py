@@ -209,9 +209,9 @@ class Network:
             return self._serial(endpoint.path, **endpoint.serial_settings)
         connect = self.open_datagrams if endpoint.is_datagram else self.connect
         address = endpoint.host or endpoint.path, endpoint.port
-        made = memory_port(endpoint.transport).of(endpoint, settings)
-        made.join(self.descriptors, partial(connect, *address), self.waker)
-        return made
+        port = memory_port(endpoint.transport).of(endpoint, settings)
+        port.join(self.descriptors, partial(connect, *address), self.waker)
+        return port
 
     def _serial(self, device: str, **settings: Any) -> MemorySerialPort:
         line = self.line(device)
@@ -224,17 +224,17 @@ class Network:
         self, endpoint: Endpoint, kind: socket.SocketKind, make: Any
     ) -> tuple[list[Any], Endpoint]:
         await asyncio.sleep(0)
-        given = replace(endpoint, port=endpoint.port or self.new_port())
-        key = self._key(given)
+        target = replace(endpoint, port=endpoint.port or self.new_port())
+        key = self._key(target)
         if key in self._hosts:
             raise ModbusConnectionError(
                 f"cannot listen on {endpoint}: Address already in use", errno=errno.EADDRINUSE
             )
         if kind == socket.SOCK_DGRAM:
-            return [self._listening_for_datagrams(key, str(given))], given
+            return [self._listening_for_datagrams(key, str(target))], target
         listener = MemoryListener(self.descriptors, partial(self._hosts.pop, key, None))
-        self._hosts[key] = listener.put, str(given)
-        return [listener], given
+        self._hosts[key] = listener.put, str(target)
+        return [listener], target
 
     def _listening_for_datagrams(self, key: tuple[str, ADDRESS], url: str) -> MemoryDatagrams:
         address = key[1]
@@ -242,7 +242,7 @@ class Network:
 
         def accept(end: MemorySocket, source: ADDRESS) -> None:
             ends[source] = end
-            end.on_input = partial(self._take_datagram, end, source, made)
+            end.on_input = partial(self._take_datagram, end, source, receiver)
 
         def send(data: bytes, target: ADDRESS) -> None:
             if target in ends:
@@ -256,10 +256,10 @@ class Network:
             for end in ends.values():
                 end.on_input = partial(end.other.reset, errno.ECONNREFUSED)
 
-        made = MemoryDatagrams(self.descriptors, send, close)
+        receiver = MemoryDatagrams(self.descriptors, send, close)
         self._hosts[key] = accept, url
-        self._datagrams[address] = made
-        return made
+        self._datagrams[address] = receiver
+        return receiver
 
     def _take_datagram(self, end: MemorySocket, source: ADDRESS, receiver: MemoryDatagrams) -> None:
         while end.is_readable:

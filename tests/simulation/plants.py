@@ -8,8 +8,8 @@ from typing import Any
 from libmodbus_py import Fleet, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, Reading
 from tests.services.fleet.fleets import NETWORK
+from tests.support.driver import rtu
 from tests.support.peers import mbap
-from tests.support.talk import rtu
 
 from .scripted import Scripted, Write
 
@@ -57,8 +57,8 @@ class Plant:
         return self.network.events.now
 
     def device(self, unit: int, points: RegisterMap = ONE, **options: Any) -> DeviceConfig:
-        given = {"interval": 1.0, "unit": unit, **options}
-        return DeviceConfig(f"device {unit}", self.url, points, **given)
+        settings = {"interval": 1.0, "unit": unit, **options}
+        return DeviceConfig(f"device {unit}", self.url, points, **settings)
 
     @asynccontextmanager
     async def polls(

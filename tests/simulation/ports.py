@@ -100,20 +100,20 @@ class _InMemory:
         self.descriptor = descriptor
 
     def _connected(self, deadline: float) -> Steps[socket.socket]:
-        made, number = self._connect()
-        if made is not None:
+        end, number = self._connect()
+        if end is not None:
             try:
-                is_ready = yield Ready(made.fileno(), WRITE, deadline)
-                number = made.getsockopt(0, 0) if is_ready else errno.ETIMEDOUT
+                is_ready = yield Ready(end.fileno(), WRITE, deadline)
+                number = end.getsockopt(0, 0) if is_ready else errno.ETIMEDOUT
             except BaseException:
-                made.close()
+                end.close()
                 raise
         if number:
-            if made is not None:
-                made.close()
+            if end is not None:
+                end.close()
             reason = f"cannot connect to {self}: {os.strerror(number)}"
             raise ModbusConnectionError(reason, errno=number)
-        return cast(socket.socket, made)
+        return cast(socket.socket, end)
 
 
 @cache

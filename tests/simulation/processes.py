@@ -54,14 +54,14 @@ class Process:
     def go_on(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
         """Let it run again: first what has arrived for it, then what became due."""
         self.is_stopped = False
-        held, self._held_descriptors = self._held_descriptors, []
-        for each in held:
+        calls, self._held_descriptors = self._held_descriptors, []
+        for each in calls:
             each()
         (loop or asyncio.get_running_loop()).call_soon(self._release)
 
     def _release(self) -> None:
-        held, self._held = self._held, []
-        for each in held:
+        calls, self._held = self._held, []
+        for each in calls:
             each()
 
     def hold(self, call: Callable[[], object]) -> None:
@@ -151,7 +151,7 @@ class StoppableLoop(VirtualLoop):
         add: Callable[..., object],
         fd: Any,
         callback: Callable[..., object],
-        given: tuple[Any, ...],
+        arguments: tuple[Any, ...],
     ) -> Callable[..., object]:
         process = _PROCESS.get()
         if process is None:
@@ -162,7 +162,7 @@ class StoppableLoop(VirtualLoop):
             if process.is_stopped:
                 # A descriptor that stays readable would not let the time pass.
                 remove(fd)
-                again = functools.partial(context.run, add, fd, callback, *given)
+                again = functools.partial(context.run, add, fd, callback, *arguments)
                 process.hold_descriptor(again)
             else:
                 callback(*args)

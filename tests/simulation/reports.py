@@ -1,6 +1,6 @@
 """
-Casts made of situations that users report: a line on which others talk, clients that are made anew
-for each poll, devices that are busy, that close after each answer, or send wrong transaction ids.
+Scenarios that users report: a line on which others talk, clients that are made anew for each poll,
+devices that are busy, that close after each answer, or send wrong transaction ids.
 """
 
 import asyncio
@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 from libmodbus_py import AsyncClient, pdu
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 
 from .lines import Party
 from .world import World
@@ -88,10 +88,10 @@ async def _ask_around(world: World, plc: AsyncClient, unit: int) -> None:
     results = await plc.for_unit(unit).execute_many(requests, return_exceptions=True)
     for call, result in zip(calls, results, strict=True):
         if isinstance(result, BaseException):
-            world.witness.error(call, result)
+            world.checker.error(call, result)
         else:
-            world.witness.answer(call, result)
-    world.witness.compare_order([call.key for call in calls])
+            world.checker.answer(call, result)
+    world.checker.compare_order([call.key for call in calls])
 
 
 async def of_odd_hosts(world: World) -> None:
@@ -103,8 +103,8 @@ async def of_odd_hosts(world: World) -> None:
     world.calm()
     async with _client(url, timeout=1.0, ids="check" if is_closing else "ignore") as plc:
         await _poll(world, plc, partial(_ask, world, 8.0))
-    if world.witness.failed:
-        world.witness.fail("an odd host is read", f"{world.witness.failed} calls failed")
+    if world.checker.failed:
+        world.checker.fail("an odd host is read", f"{world.checker.failed} calls failed")
 
 
 @contextlib.asynccontextmanager
@@ -145,8 +145,8 @@ async def _poll(world: World, plc: AsyncClient, ask: Ask) -> None:
 async def _serve(world: World, plc: AsyncClient, ask: Ask) -> None:
     world.calm()
     for unit in _units(world):
-        answered = world.witness.answered
+        answers = world.checker.answered
         for _ in range(TRIES):
             await ask(plc, unit)
-        if world.witness.answered == answered:
-            world.witness.fail("a unit is asked again although others talk", f"unit {unit}")
+        if world.checker.answered == answers:
+            world.checker.fail("a unit is asked again although others talk", f"unit {unit}")

@@ -1,7 +1,7 @@
 """
 What must hold, whatever happens: looked at after every event.
 
-The witness is told what clients ask and what becomes of it, what units carry out, and, by the
+The checker is told what clients ask and what becomes of it, what units carry out, and, by the
 network, what is sent. A request is known by its unit, function, address and value, which no other
 one has.
 """
@@ -67,7 +67,7 @@ LONGEST_REST = 15.0
 
 
 @dataclass
-class Witness:
+class Checker:
     """Sees all, and says at the first thing that may not be."""
 
     events: Events
@@ -196,11 +196,11 @@ def _text(key: Key) -> str:
 
 
 class Wire:
-    """Reads what is sent, and tells the witness: requests to units, and refusals by gateways."""
+    """Reads what is sent, and tells the checker: requests to units, and refusals by gateways."""
 
-    def __init__(self, events: Events, witness: Witness) -> None:
+    def __init__(self, events: Events, checker: Checker) -> None:
         self.hosts_take_turns: bool = False
-        self._witness = witness
+        self._checker = checker
         self._events = events
         self._asked: dict[tuple[int, bytes], tuple[int, bytes]] = {}
         # Of each host that waits for a line: its requests, and how many of each other host went
@@ -216,7 +216,7 @@ class Wire:
             if place.startswith("tcp://10.0.1."):  # a gateway's own clients
                 self._note_at_gateway(connection, head, unit, pdu, is_client)
             elif is_client:
-                self._witness.sent(unit, pdu)
+                self._checker.sent(unit, pdu)
                 if self.hosts_take_turns:
                     self._note_turn((unit, pdu))
 
@@ -230,7 +230,7 @@ class Wire:
             return
         key = self._asked.pop((connection, head), None)
         if key is not None and pdu[0] & 0x80 and pdu[1] in (6, 11):
-            self._witness.refused(*key)
+            self._checker.refused(*key)
 
     # --- turns ------------------------------------------------------------------------------------
 
@@ -255,7 +255,7 @@ class Wire:
                 continue
             self._overtaken[other][host] += 1
             if self._overtaken[other][host] > 2:
-                self._witness.fail("hosts take turns", f"{host} was served thrice before {other}")
+                self._checker.fail("hosts take turns", f"{host} was served thrice before {other}")
 
 
 def _frames(data: bytes, has_header: bool, is_client: bool) -> list[tuple[bytes, int, bytes]]:
@@ -263,9 +263,9 @@ def _frames(data: bytes, has_header: bool, is_client: bool) -> list[tuple[bytes,
     if not has_header:
         size = 8 if is_client else len(data)
         return [(b"", data[at], data[at + 1 : at + size - 2]) for at in range(0, len(data), size)]
-    found = []
+    frames = []
     while len(data) >= 8:
         size = 6 + int.from_bytes(data[4:6], "big")
-        found.append((data[:2], data[6], data[7:size]))
+        frames.append((data[:2], data[6], data[7:size]))
         data = data[size:]
-    return found
+    return frames

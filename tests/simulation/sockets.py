@@ -90,16 +90,16 @@ class MemorySocket:
                 return b""
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
         data = self._inbox[0]
-        taken = data if self._is_datagram else data[:size]
+        piece = data if self._is_datagram else data[:size]
         if flags & socket.MSG_PEEK:
-            return taken
+            return piece
         self._inbox.popleft()
-        if len(taken) < len(data):
-            self._inbox.appendleft(data[len(taken) :])
-        self._coming -= len(taken)
+        if len(piece) < len(data):
+            self._inbox.appendleft(data[len(piece) :])
+        self._coming -= len(piece)
         self._follow()
         self.other.note_room()
-        return taken
+        return piece
 
     def send(self, data: bytes | bytearray | memoryview) -> int:
         self._check()
@@ -335,11 +335,11 @@ class MemoryEpoll:
         self._tell()
 
     def poll(self, timeout: float = 0, most: int = -1) -> list[tuple[int, int]]:
-        found = list(self._ready.items())[: most if most >= 0 else None]
-        for descriptor, events in found:  # the others are first the next time
+        ready = list(self._ready.items())[: most if most >= 0 else None]
+        for descriptor, events in ready:  # the others are first the next time
             del self._ready[descriptor]
             self._ready[descriptor] = events
-        return found
+        return ready
 
     def close(self) -> None:
         self.closed = True
@@ -347,10 +347,10 @@ class MemoryEpoll:
 
     def follow(self, descriptor: int) -> None:
         """Look again at one of the sockets."""
-        wanted = self._wanted.get(descriptor, 0)
+        mask = self._wanted.get(descriptor, 0)
         can_read = descriptor in self._descriptors.readable
         can_write = descriptor in self._descriptors.writable
-        events = wanted & (can_read * select.EPOLLIN | can_write * select.EPOLLOUT)
+        events = mask & (can_read * select.EPOLLIN | can_write * select.EPOLLOUT)
         if descriptor in self._wanted and self._sockets[descriptor].has_failed:
             events |= select.EPOLLERR | select.EPOLLHUP  # whether wanted or not
         if events:

@@ -25,17 +25,17 @@ from tests.services.fleet.fleets import Peer, meter, simulated_run
 from tests.services.fleet.journal.journals import Inline
 from tests.support.attacks import READ_ONE, adu
 from tests.support.cases import each_case
-from tests.support.served import ANSWER_ONE, served
+from tests.support.lan_server import ANSWER_ONE, server_on
 
-from .casts import CASTS
 from .events import START
+from .lan import Lan
 from .loop import VirtualLoop
 from .network import Network
-from .playing import chosen, play
-from .stage import Stage
+from .runs import options_of, play
+from .scenarios import SCENARIOS
 
-# The casts without a whole plant, which takes minutes.
-QUICK = [cast for cast in CASTS if cast != "plant"]
+# The scenarios without a whole plant, which takes minutes.
+QUICK = [scenario for scenario in SCENARIOS if scenario != "plant"]
 
 
 @pytest.fixture
@@ -66,24 +66,24 @@ def test_no_timer_ends_before_its_time_or_more_than_a_step_later(start: float) -
     network.run(wait)
 
 
-@pytest.mark.parametrize("cast", QUICK)
-def test_worlds_keep_their_rules_if_timers_end_early(cast: str, early: None) -> None:
-    play(replace(chosen(1), cast=cast, seconds=20.0))
+@pytest.mark.parametrize("scenario", QUICK)
+def test_worlds_keep_their_rules_if_timers_end_early(scenario: str, early: None) -> None:
+    play(replace(options_of(1), scenario=scenario, seconds=20.0))
 
 
 @pytest.mark.parametrize("rate", [0.3, 7, 150])
 def test_a_server_delays_what_exceeds_a_rate_if_timers_end_early(early: None, rate: float) -> None:
     count = int(rate) + 10
     with (
-        Stage() as stage,
-        served(stage, requests_per_second=rate) as server,
+        Lan() as lan,
+        server_on(lan, requests_per_second=rate) as server,
         server.connect() as eager,
     ):
         for number in range(count):
             eager.sendall(adu(READ_ONE, number))
             eager.receive(len(ANSWER_ONE) + 7)
         assert server.counts(requests=count)
-        assert stage.now - START == pytest.approx((count - 1 - max(1, rate)) / rate, abs=0.05)
+        assert lan.now - START == pytest.approx((count - 1 - max(1, rate)) / rate, abs=0.05)
 
 
 def test_a_journal_is_forced_onto_the_disk_once_after_a_poll_if_timers_end_early(
@@ -123,17 +123,17 @@ READ = bytes.fromhex("0001 0000 0006 11 03 0002 0001")
 def test_on_a_stage_time_passes_only_while_the_test_waits() -> None:
     late = {None: [Fault("delay", seconds=500)]}
     server = Server({17: Device(Mapping(holding_registers={2: [502]}))}, faults=late)
-    with Stage() as stage, server.background("tcp://10.0.0.1:0") as running:
-        with stage.talk(running.urls[0], "10.0.0.2") as client:
+    with Lan() as lan, server.background("tcp://10.0.0.1:0") as running:
+        with lan.client(running.urls[0], "10.0.0.2") as client:
             client.sendall(READ)
-            before = stage.now
-            stage.pass_time(0)
-            assert stage.now == before
+            before = lan.now
+            lan.pass_time(0)
+            assert lan.now == before
             assert client.recv(100)[-2:] == struct.pack(">H", 502)
-            assert stage.now - before == pytest.approx(500, abs=0.001)
+            assert lan.now - before == pytest.approx(500, abs=0.001)
         with (
             Client(running.urls[0], unit=17, timeout=100) as plc,
             pytest.raises(ModbusTimeoutError),
         ):
             plc.read_holding_registers(2, 1)
-        assert stage.now - before >= 600
+        assert lan.now - before >= 600

@@ -9,31 +9,31 @@ import pytest
 
 from .__main__ import find
 from .broken import BREAKS, Break
-from .casts import CASTS
-from .playing import Failure, chosen, play, recorded, shortest, tried
+from .runs import Failure, options_of, play, run_or_failure, seed_options, shortest_options
+from .scenarios import SCENARIOS
 from .world import Options
 
 # Whatever rule is broken, one of so many seeds shows it.
 SEEDS = 100
 
 # A whole plant takes minutes; it is run on its own.
-QUICK = [cast for cast in CASTS if cast != "plant"]
+QUICK = [scenario for scenario in SCENARIOS if scenario != "plant"]
 
 
-@pytest.mark.parametrize("cast", QUICK)
+@pytest.mark.parametrize("scenario", QUICK)
 @pytest.mark.parametrize("seed", range(3))
-def test_no_rule_is_broken(cast: str, seed: int) -> None:
-    play(replace(chosen(seed), cast=cast, seconds=20.0))
+def test_every_scenario_keeps_the_rules(scenario: str, seed: int) -> None:
+    play(replace(options_of(seed), scenario=scenario, seconds=20.0))
 
 
-@pytest.mark.parametrize("options", recorded(), ids=lambda run: f"{run.cast}-{run.seed}")
+@pytest.mark.parametrize("options", seed_options(), ids=lambda run: f"{run.scenario}-{run.seed}")
 def test_what_failed_once_does_not_fail_again(options: Options) -> None:
     play(options)
 
 
-@pytest.mark.parametrize("cast", ["line", "gateway", "fleet"])
-def test_the_same_seed_gives_the_same_exchange(cast: str) -> None:
-    options = replace(chosen(5), cast=cast, seconds=10.0)
+@pytest.mark.parametrize("scenario", ["line", "gateway", "fleet"])
+def test_the_same_seed_gives_the_same_exchange(scenario: str) -> None:
+    options = replace(options_of(5), scenario=scenario, seconds=10.0)
     first, second = play_and_listen(options), play_and_listen(options)
     assert first == second
     assert first
@@ -42,7 +42,7 @@ def test_the_same_seed_gives_the_same_exchange(cast: str) -> None:
 def play_and_listen(options: Options) -> list[str]:
     """Return what was said last."""
     lines: list[str] = []
-    world = tried(options, lines)
+    world = run_or_failure(options, lines)
     assert not isinstance(world, Failure), world.error
     return lines
 
@@ -52,6 +52,6 @@ def test_what_is_broken_on_purpose_is_found(broken: Break) -> None:
     failure = find(broken, seeds=SEEDS)
     assert failure is not None
     with broken.broken():
-        smaller = shortest(failure, 2.0)
+        smaller = shortest_options(failure, 2.0)
     assert smaller.rule == failure.rule
-    assert list(smaller.exchange.raw()) or smaller.options.cast == "workers"
+    assert list(smaller.exchange.raw()) or smaller.options.scenario == "workers"

@@ -1,4 +1,4 @@
-"""A simulated world: a network, a witness, units that misbehave, and how clients ask them."""
+"""A simulated world: a network, a checker, units that misbehave, and how clients ask them."""
 
 import asyncio
 import random
@@ -12,7 +12,7 @@ from libmodbus_py import AsyncClient, Client, Gateway, ModbusError
 from .devices import COUNT, Behaviour, Bus, Host, Unit
 from .network import Network
 from .processes import HOST
-from .rules import Call, Wire, Witness
+from .rules import Call, Checker, Wire
 
 Ask = Callable[[int], Awaitable[None]]  # asks a unit once
 
@@ -41,7 +41,7 @@ NOT_ON_LINES = {"drop"}
 # How much later than the first the second of two equal answers comes, at most.
 APART = 0.05
 
-# Casts whose workers are stopped and continued.
+# Scenarios whose workers are stopped and continued.
 WITH_PROCESSES = ("fleet", "plant")
 
 # What may be late in all that is exact: a wait rounded up to the milliseconds of poll.
@@ -53,7 +53,7 @@ class Options:
     """What a run is."""
 
     seed: int
-    cast: str
+    scenario: str
     seconds: float = 60.0
     clients: int = 4
     units: int = 10
@@ -62,19 +62,19 @@ class Options:
 
 
 class World:
-    """A network, a witness, and all the units."""
+    """A network, a checker, and all the units."""
 
     def __init__(self, options: Options) -> None:
         self.options: Options = options
         self.network: Network = Network(options.seed)
-        self.network.has_processes = options.cast in WITH_PROCESSES
+        self.network.has_processes = options.scenario in WITH_PROCESSES
         self.events = self.network.events
         self.random: random.Random = self.events.random
-        self.witness: Witness = Witness(self.events)
+        self.checker: Checker = Checker(self.events)
         self.units: list[Unit] = []
         self.hosts: list[Host] = []
         self.is_calm: bool = False
-        self.wire: Wire = Wire(self.events, self.witness)
+        self.wire: Wire = Wire(self.events, self.checker)
         self._number = 0
 
     # --- making it --------------------------------------------------------------------------------
@@ -89,13 +89,13 @@ class World:
             apart=APART,
             **{name: PROBABILITIES[name] for name in has},
         )
-        made = Unit(number, behaviour, self.events, self.witness.executed)
-        self.units.append(made)
-        return made
+        unit_ = Unit(number, behaviour, self.events, self.checker.executed)
+        self.units.append(unit_)
+        return unit_
 
     def bus(self, device: str, numbers: range, timeout: float, baudrate: int) -> None:
         """Put units on a line."""
-        self.witness.is_line = True
+        self.checker.is_line = True
         line = self.network.line(device)
         line.character = 11 / baudrate
         faults = set(self.options.faults) - NOT_ON_LINES
@@ -104,7 +104,7 @@ class World:
 
     def host(self, url: str, numbers: range, timeout: float) -> str:
         """Put units behind a TCP port."""
-        self.witness.is_line |= not url.startswith("tcp")
+        self.checker.is_line |= not url.startswith("tcp")
         faults = set(self.options.faults) - NOT_OVER_TCP
         units = [self.unit(number, faults, timeout) for number in numbers]
         host = Host(self.network, url, units, 0.95 if "drop" in faults else 1.0)
@@ -114,7 +114,7 @@ class World:
     def calm(self) -> None:
         """End all faults, and with them the rests of silent units."""
         self.is_calm = True
-        self.witness.resting.clear()
+        self.checker.resting.clear()
         for unit in self.units:
             unit.behave()
         for host in self.hosts:
@@ -143,8 +143,8 @@ class World:
         self.wire.host[unit, pdu] = HOST.get()
         call = Call((unit, pdu), now, now + limit + ROUNDING, age, is_direct)
         if not is_direct:
-            self.witness.through_gateway.add(call.key)
-        self.witness.begin(call)
+            self.checker.through_gateway.add(call.key)
+        self.checker.begin(call)
         return call
 
     async def act(self, ask: Ask, numbers: range, until: float, host: str = "") -> None:
@@ -164,14 +164,14 @@ class World:
         return ask
 
     async def ask(self, plc: AsyncClient, call: Call) -> None:
-        """Ask, and tell the witness what became of it."""
+        """Ask, and tell the checker what became of it."""
         try:
             async with asyncio.timeout(self._patience()):
                 values = await _requested(plc, call)
         except (ModbusError, TimeoutError) as error:
-            self.witness.error(call, error)
+            self.checker.error(call, error)
         else:
-            self.witness.answer(call, values)
+            self.checker.answer(call, values)
 
     def _patience(self) -> float | None:
         """Seconds until whoever asks gives up himself; None for never."""
@@ -184,9 +184,9 @@ class World:
         try:
             values = _requested(context, call)
         except ModbusError as error:
-            self.witness.error(call, error)
+            self.checker.error(call, error)
         else:
-            self.witness.answer(call, values)
+            self.checker.answer(call, values)
 
     def pause(self) -> float:
         return self.random.expovariate(1 / self.options.pause)

@@ -1,7 +1,7 @@
 """
 Attacks on a server, step by step, and a server that is a process of its own.
 
-On a stage `tests.simulation.attackers` carries them out, against processes `bench.attackers`.
+On a LAN `tests.simulation.attackers` carries them out, against processes `bench.attackers`.
 """
 
 import contextlib
@@ -23,7 +23,7 @@ from typing import NamedTuple, Self
 from libmodbus_py.ports.endpoint import parse
 from tests.support import certificates
 from tests.support.certificates import Pki
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 
 UNIT = 17
 READ_ONE = bytes.fromhex("03 0000 0001")
@@ -75,13 +75,13 @@ def ask(connection: socket.socket, request: bytes, answer: bytes) -> None:
 
 
 @contextlib.contextmanager
-def descriptor_limit(wanted: int | None = None) -> Iterator[int]:
+def descriptor_limit(limit: int | None = None) -> Iterator[int]:
     """
     Set the limit of descriptors of this process and of those it starts. `wanted`: None for as many
     as there may be. Return how many there are.
     """
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
-    soft = before[1] if wanted is None else wanted
+    soft = before[1] if limit is None else limit
     resource.setrlimit(resource.RLIMIT_NOFILE, (soft, before[1]))
     try:
         yield soft
@@ -178,8 +178,8 @@ def pipeline(port: int, requests: int) -> None:
         for first in range(0, requests, BLOCK):
             numbers = [number & 0xFFFF for number in range(first, first + BLOCK)]
             connection.sendall(b"".join(adu(READ_ONE, number) for number in numbers))
-            expected = b"".join(adu(ANSWER_ONE, number) for number in numbers)
-            assert receive(connection, len(expected)) == expected
+            answers = b"".join(adu(ANSWER_ONE, number) for number in numbers)
+            assert receive(connection, len(answers)) == answers
 
 
 class Step(NamedTuple):

@@ -14,7 +14,7 @@ def compile_c(source: Path, program: Path, *options: str) -> Path:
     if shutil.which("gcc") is None:
         pytest.fail("no gcc: apt install gcc libmodbus-dev")
     command = ["gcc", "-Wall", "-I/usr/include/modbus", *options, source, "-o", program]
-    done = subprocess.run([*command, "-lmodbus", "-pthread"], capture_output=True, text=True)
-    if done.returncode:
-        pytest.fail(f"{source.name} (apt install libmodbus-dev): {done.stderr}")
+    result = subprocess.run([*command, "-lmodbus", "-pthread"], capture_output=True, text=True)
+    if result.returncode:
+        pytest.fail(f"{source.name} (apt install libmodbus-dev): {result.stderr}")
     return program

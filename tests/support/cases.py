@@ -100,9 +100,9 @@ def each_case(
     ids: Iterable[object] | Callable[[Any], object] | None = None,
 ) -> Callable[[T], T]:
     """Return a decorator that calls a test with each case of the table; see the module."""
-    given = [name.strip() for name in names.split(",")] if isinstance(names, str) else [*names]
-    single = isinstance(names, str) and len(given) == 1
-    rows = _Rows(given, [_values(case, single) for case in table], ids)
+    arguments = [name.strip() for name in names.split(",")] if isinstance(names, str) else [*names]
+    single = isinstance(names, str) and len(arguments) == 1
+    rows = _Rows(arguments, [_values(case, single) for case in table], ids)
 
     def decorated(test: Any) -> Any:
         if not isinstance(test, type):
@@ -164,10 +164,10 @@ def _looping(test: Any, *tables: _Rows) -> Any:
                     values |= rows.cases[place]
                 inner(*args, **values)
 
-    kept = [value for name, value in signature.parameters.items() if name not in names]
+    parameters = [value for name, value in signature.parameters.items() if name not in names]
     for name in [name for name in vars(looping) if "hypothesis" in name]:
         delattr(looping, name)  # these belong to the inner test only
-    looping.__signature__ = signature.replace(parameters=kept)  # type: ignore[attr-defined]
+    looping.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     looping._looped, looping._tables = inner, tables  # type: ignore[attr-defined]
     return looping
 

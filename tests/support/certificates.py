@@ -131,14 +131,14 @@ def _signed_anew(
 ) -> Identity:
     """The same for a day, with other extensions."""
     old = identity.certificate
-    kept = [extension for extension in old.extensions if extension.oid != without]
+    extensions = [extension for extension in old.extensions if extension.oid != without]
     builder = x509.CertificateBuilder(
         issuer_name=old.issuer,
         subject_name=old.subject,
         public_key=identity.key.public_key(),
         serial_number=x509.random_serial_number(),
         # add_extension would refuse a second one.
-        extensions=[*kept, *(x509.Extension(each.oid, False, each) for each in added)],
+        extensions=[*extensions, *(x509.Extension(each.oid, False, each) for each in added)],
     )
     begin = datetime.now(UTC) - timedelta(hours=1)
     builder = builder.not_valid_before(begin).not_valid_after(begin + timedelta(days=1))

@@ -43,7 +43,7 @@ HOLES = {
 """The same from the first to the last address; one run touches another."""
 
 
-def made_device(contents: Any = WHOLE, **options: Any) -> Device:
+def make_device(contents: Any = WHOLE, **options: Any) -> Device:
     return Device(Mapping(**contents), files={4: range(20)}, fifos={9: [1]}, **options)
 
 
@@ -125,8 +125,8 @@ def contents(device: Device) -> list[list[int]]:
 
 def notes(device: Device) -> list[bytes]:
     """Return the responses of functions 11 and 12, and all counters of function 8."""
-    asked = [b"\x0b", b"\x0c", *(bytes([8, 0, number, 0, 0]) for number in range(0x0B, 0x13))]
-    return [device.answer(body) for body in asked]
+    requests = [b"\x0b", b"\x0c", *(bytes([8, 0, number, 0, 0]) for number in range(0x0B, 0x13))]
+    return [device.answer(body) for body in requests]
 
 
 words = st.one_of(st.integers(0, 320), st.integers(0, 0xFFFF)).map(lambda n: n.to_bytes(2, "big"))
@@ -153,17 +153,17 @@ def writes(draw: st.DrawFn) -> bytes:
     count = draw(st.integers(0, 125))
     size = (count + 7) // 8 if function == 15 else 2 * count
     data = draw(st.binary(min_size=size, max_size=size))
-    said = draw(st.sampled_from([size, size, size, (size + 1) & 0xFF, 0]))
-    return bytes([function]) + draw(words) + count.to_bytes(2, "big") + bytes([said]) + data
+    length = draw(st.sampled_from([size, size, size, (size + 1) & 0xFF, 0]))
+    return bytes([function]) + draw(words) + count.to_bytes(2, "big") + bytes([length]) + data
 
 
 @st.composite
 def read_writes(draw: st.DrawFn) -> bytes:
     count = draw(st.integers(0, 122))
-    said = draw(st.sampled_from([2 * count, 2 * count, 2 * count, 3]))
+    length = draw(st.sampled_from([2 * count, 2 * count, 2 * count, 3]))
     read = draw(words) + draw(st.integers(0, 130)).to_bytes(2, "big")
     data = draw(st.binary(min_size=2 * count, max_size=2 * count))
-    write = draw(words) + count.to_bytes(2, "big") + bytes([said & 0xFF])
+    write = draw(words) + count.to_bytes(2, "big") + bytes([length & 0xFF])
     return b"\x17" + read + write + data
 
 

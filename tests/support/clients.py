@@ -44,12 +44,12 @@ class Awaited:
         vars(self).update(_run=run, _plc=plc)
 
     def __getattr__(self, name: str) -> Any:
-        found = getattr(self._plc, name)
-        if not inspect.ismethod(found) and not inspect.isfunction(found):
-            return found
+        attribute = getattr(self._plc, name)
+        if not inspect.ismethod(attribute) and not inspect.isfunction(attribute):
+            return attribute
 
         def call(*arguments: Any, **options: Any) -> Any:
-            result = found(*arguments, **options)
+            result = attribute(*arguments, **options)
             if inspect.iscoroutine(result):
                 return self._run(result)
             return result if isinstance(result, list) else Awaited(self._run, result)
@@ -122,10 +122,10 @@ def running_loop() -> Iterator[asyncio.AbstractEventLoop]:
         finally:
             loop.call_soon_threadsafe(loop.stop)
             thread.join()
-            left = asyncio.all_tasks(loop)
+            tasks = asyncio.all_tasks(loop)
             loop.close()
     assert not complaints
-    assert not left
+    assert not tasks
 
 
 class World:
@@ -188,6 +188,6 @@ def making(kind: str) -> Iterator[World]:
     loop = network.loop()
     with contextlib.closing(loop), network.installed(), complaints_of(loop) as complaints:
         yield World(kind, network, loop)
-        left = [repr(task.get_coro()) for task in asyncio.all_tasks(loop)]
+        tasks = [repr(task.get_coro()) for task in asyncio.all_tasks(loop)]
     assert not complaints, complaints
-    assert not left, left
+    assert not tasks, tasks

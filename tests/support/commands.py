@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import NamedTuple, Self, TextIO
 
 from libmodbus_py.cli.main import main
-from tests.support.leaks import lasts
+from tests.support.leaks import note_lasting
 
 PROGRAM = [sys.executable, "-m", "libmodbus_py"]
 
@@ -51,7 +51,7 @@ def page_url(line: str) -> str:
     return url.replace("...", *PAGE_TOKEN.values())
 
 
-class Done(NamedTuple):
+class Result(NamedTuple):
     """How a command ended: its exit code, and what it printed."""
 
     code: int
@@ -61,7 +61,7 @@ class Done(NamedTuple):
 
 def run(
     *arguments: object, out: TextIO | None = None, environment: Mapping[str, str] | None = None
-) -> Done:
+) -> Result:
     """
     Call the command line in this process. `arguments`: as they are typed, without the name of the
     program; `out`: the standard output; None collects it; `environment`: variables beside those of
@@ -75,9 +75,9 @@ def run(
     ):
         try:
             code = main([str(each) for each in arguments])
-        except SystemExit as ended:
-            code = int(ended.code or 0)
-    return Done(code, printed.text(), errors.text())
+        except SystemExit as run_forked:
+            code = int(run_forked.code or 0)
+    return Result(code, printed.text(), errors.text())
 
 
 class _Collected(io.TextIOWrapper):
@@ -120,7 +120,7 @@ def _command_server() -> socket.socket:
             stdin=subprocess.DEVNULL,
         )
 
-    lasts(ours.fileno(), process.pid)
+    note_lasting(ours.fileno(), process.pid)
 
     def end() -> None:
         ours.close()
@@ -169,11 +169,11 @@ class Started:
             "new_session": new_session,
         }
         self.returncode: int | None = None
-        with contextlib.ExitStack() as given:
+        with contextlib.ExitStack() as pipes:
             if stdin is None:
-                stdin = given.enter_context(open(os.devnull)).fileno()
-            self.stdout, stdout = _pipe(given, stdout)
-            self.stderr, stderr = _pipe(given, stderr)
+                stdin = pipes.enter_context(open(os.devnull)).fileno()
+            self.stdout, stdout = _pipe(pipes, stdout)
+            self.stderr, stderr = _pipe(pipes, stderr)
             self.pid = _fork(request, [stdin, stdout, stderr])
 
     def __enter__(self) -> Self:
@@ -198,8 +198,8 @@ class Started:
 
     def poll(self) -> int | None:
         if self.returncode is None:
-            found, status = os.waitpid(self.pid, os.WNOHANG)
-            if found:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
                 self.returncode = os.waitstatus_to_exitcode(status)
         return self.returncode
 
@@ -211,10 +211,10 @@ class Started:
         if self.poll() is None:
             descriptor = os.pidfd_open(self.pid)
             try:
-                ended, _, _ = select.select([descriptor], [], [], seconds)
+                readable, _, _ = select.select([descriptor], [], [], seconds)
             finally:
                 os.close(descriptor)
-            if not ended:
+            if not readable:
                 raise subprocess.TimeoutExpired(f"process {self.pid}", seconds)
         code = self.poll()
         assert code is not None
@@ -241,19 +241,19 @@ class Started:
         return rest[self.stdout], rest[self.stderr]
 
 
-def ended(*arguments: object, stdout: int | None = None) -> Done:
+def run_forked(*arguments: object, stdout: int | None = None) -> Result:
     """Run a command to its end in a process of its own: for one that writes to descriptor 1."""
     with Started(*arguments, stdout=stdout) as process:
         out, err = process.communicate()
-    return Done(process.wait(), out, err)
+    return Result(process.wait(), out, err)
 
 
-def _pipe(given: contextlib.ExitStack, descriptor: int | None) -> tuple[TextIO, int]:
+def _pipe(stack: contextlib.ExitStack, descriptor: int | None) -> tuple[TextIO, int]:
     """Return a stream to read from, which is empty if there is a descriptor, and where to write."""
     if descriptor is not None:
         return io.StringIO(), descriptor
     reading, writing = os.pipe()
-    given.callback(os.close, writing)
+    stack.callback(os.close, writing)
     return open(reading, encoding="utf-8", errors="replace"), writing
 
 

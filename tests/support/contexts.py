@@ -17,10 +17,10 @@ Serve = Callable[[AnyContext, bytes], object]
 def context_at(url: str, **options: Any) -> AnyContext:
     """Return a context for a unit at a URL; on a serial port at the rate of all tests."""
     end = parse(url)
-    chosen: dict[str, Any] = {"unit": UNIT, "timeout": TIMEOUT, **options}
+    settings: dict[str, Any] = {"unit": UNIT, "timeout": TIMEOUT, **options}
     if end.is_serial:
-        return RtuContext(end.path, BAUDRATE, **chosen)
-    return TcpContext(end.host, end.port, **chosen)
+        return RtuContext(end.path, BAUDRATE, **settings)
+    return TcpContext(end.host, end.port, **settings)
 
 
 def serve(slave: AnyContext, answer: Serve) -> None:

@@ -17,16 +17,16 @@ class Events(list[AuditEvent]):
         (super() if event.peer else self.own).append(event)
 
 
-def whose(event: AuditEvent) -> tuple[str | None, ...]:
+def identity_fields(event: AuditEvent) -> tuple[str | None, ...]:
     """Return what an event has of a certificate."""
     return event.subject, event.serial, event.issuer, event.fingerprint
 
 
-def named(identity: Identity | None) -> tuple[str | None, ...]:
+def certificate_fields(identity: Identity | None) -> tuple[str | None, ...]:
     """Return what events must have of a certificate."""
     if identity is None:
         return (None,) * 4
-    found = x509.load_pem_x509_certificate(identity.pem)
-    fingerprint = found.fingerprint(SHA256()).hex()
-    subject, issuer = found.subject.rfc4514_string(), found.issuer.rfc4514_string()
-    return subject, f"{found.serial_number:x}", issuer, fingerprint
+    certificate = x509.load_pem_x509_certificate(identity.pem)
+    fingerprint = certificate.fingerprint(SHA256()).hex()
+    subject, issuer = certificate.subject.rfc4514_string(), certificate.issuer.rfc4514_string()
+    return subject, f"{certificate.serial_number:x}", issuer, fingerprint

@@ -1,4 +1,4 @@
-"""Frames of units and bodies, as `talk` computes them, and framers fed with their bytes."""
+"""Frames of units and bodies, as `driver` computes them, and framers fed with their bytes."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -7,7 +7,7 @@ from typing import Any
 from libmodbus_py import pdu
 from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, RtuFramer, TcpFramer
-from tests.support import talk
+from tests.support import driver
 from tests.support.cases import each_case
 
 NO_REQUESTS = [
@@ -25,20 +25,20 @@ def take(framer: AnyFramer, data: bytes = b"") -> tuple[list[Frame], list[FrameE
     errors: list[FrameError] = []
     while True:
         try:
-            found = framer.feed(data)
+            results = framer.feed(data)
         except FrameError as error:
             errors.append(error)
             if not framer.in_step:
                 return frames, errors
-            found = []
+            results = []
         else:
-            if not found:
+            if not results:
                 return frames, errors
-        frames += found
+        frames += results
         data = b""
 
 
-def quiet(framer: AnyFramer) -> list[Frame]:
+def after_silence(framer: AnyFramer) -> list[Frame]:
     """Return the frames that silence ends; its errors do not matter here."""
     frames: list[Frame] = []
     with contextlib.suppress(FrameError):
@@ -46,7 +46,7 @@ def quiet(framer: AnyFramer) -> list[Frame]:
     return frames + take(framer)[0]
 
 
-def taken(framer: AnyFramer, data: bytes) -> list[Frame]:
+def frames_in(framer: AnyFramer, data: bytes) -> list[Frame]:
     """Frames in bytes that silence follows, and no errors."""
     frames, errors = take(framer, data)
     frames += framer.silence()
@@ -67,24 +67,24 @@ def pieces(data: bytes, sizes: list[int]) -> Iterator[bytes]:
     yield data[at:]
 
 
-def fed_in_bytes(framer: AnyFramer, data: bytes) -> list[Frame]:
+def feed_bytes(framer: AnyFramer, data: bytes) -> list[Frame]:
     """Return the frames that the last byte completes; none is complete before."""
     for byte in single_bytes(data[:-1]):
         assert framer.feed(byte) == []
     return framer.feed(data[-1:])
 
 
-def taken_in_bytes(framer: AnyFramer, data: bytes) -> list[Frame]:
+def frames_in_bytes(framer: AnyFramer, data: bytes) -> list[Frame]:
     """Return the frames that the last byte, or silence behind it, completes."""
-    return fed_in_bytes(framer, data) + framer.silence()
+    return feed_bytes(framer, data) + framer.silence()
 
 
 def rtu(unit: int, body: bytes) -> bytes:
-    return talk.rtu((bytes([unit]) + body).hex())
+    return driver.rtu((bytes([unit]) + body).hex())
 
 
 def ascii_frame(unit: int, body: bytes, end: bytes = b"\r\n") -> bytes:
-    return talk.ascii_frame((bytes([unit]) + body).hex(), end)
+    return driver.ascii_frame((bytes([unit]) + body).hex(), end)
 
 
 def mbap(transaction: int, protocol: int, length: int, unit: int, body: bytes) -> bytes:
@@ -102,7 +102,7 @@ LONGEST = Frame(17, b"\x15\xfb\x06\x00\x04\x00\x07\x00\x7a" + bytes(range(244)))
 
 
 @contextlib.contextmanager
-def registered(rule: Callable[[bytes], Any]) -> Iterator[type[pdu.RawRequest]]:
+def registration(rule: Callable[[bytes], Any]) -> Iterator[type[pdu.RawRequest]]:
     """A class of one's own, function 6Dh, whose messages are as long as the rule says."""
 
     class Own(pdu.RawRequest):

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from libmodbus_py import Client, Device, Fault, Gateway, Route, Server
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.interop import BAUDRATE, UNIT, make_device
 from tests.support.transports import serving
 
@@ -21,12 +21,12 @@ class Passage(NamedTuple):
 
 
 @contextmanager
-def at_one_end(scheme: str, served: Any, stage: Stage | None, name: str) -> Iterator[str]:
+def at_one_end(scheme: str, served: Any, lan: Lan | None, name: str) -> Iterator[str]:
     """
     Serve on one kind of line, and yield the URL of a client. `served`: a server or a gateway;
-    `stage`: where the line is, in place of the system; a serial one then has this name.
+    `lan`: where the line is, in place of the system; a serial one then has this name.
     """
-    if stage is not None and scheme in ("rtu", "ascii"):
+    if lan is not None and scheme in ("rtu", "ascii"):
         url = f"{scheme}:///dev/{name}?baudrate={BAUDRATE}"
         with served.background(url):
             yield url
@@ -44,17 +44,17 @@ def passage(
     faults: dict[int | None, list[Fault]] | None = None,
     line_options: str = "timeout=2",
     route: dict[str, Any] | None = None,
-    stage: Stage | None = None,
+    lan: Lan | None = None,
     **options: Any,
 ) -> Iterator[Passage]:
     """
     Devices on one kind of line, clients on another. `line_options`: of the gateway's client, as in
-    URLs; `route`: further arguments of the route; options: of the gateway; `stage`: where all of it
+    URLs; `route`: further arguments of the route; options: of the gateway; `lan`: where all of it
     is, in place of the system.
     """
-    given = {UNIT: make_device()} if devices is None else devices
-    with at_one_end(back, Server(given, faults=faults), stage, "back") as line:
+    units = {UNIT: make_device()} if devices is None else devices
+    with at_one_end(back, Server(units, faults=faults), lan, "back") as line:
         line += ("&" if "?" in line else "?") + line_options
         gateway = Gateway([Route(line, **(route or {}))], **options)
-        with at_one_end(front, gateway, stage, "front") as url:
+        with at_one_end(front, gateway, lan, "front") as url:
             yield Passage(gateway, url)

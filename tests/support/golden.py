@@ -47,14 +47,14 @@ def refused(request: pytest.FixtureRequest, golden: Golden) -> Refused:
 
     def compare(name: str, call: Callable[[Any], object]) -> None:
         lines = []
-        for given in (request.path.parent / "golden" / name).read_text().split("\n")[::3]:
+        for text in (request.path.parent / "golden" / name).read_text().split("\n")[::3]:
             with pytest.raises((TypeError, ValueError)) as caught:
-                call(eval(given, {"math": math}))
+                call(eval(text, {"math": math}))
             kind = "TypeError: " if isinstance(caught.value, TypeError) else ""
             message = f"{kind}{caught.value}"
             assert message.isprintable()
             assert len(message) < 1000
-            lines += [given, f"    {message}", ""]
+            lines += [text, f"    {message}", ""]
         golden(name, "\n".join(lines))
 
     return compare

@@ -114,7 +114,7 @@ Case = TypeVar("Case")
 Record = Callable[[str, object], None]
 
 
-def tried(
+def try_cases(
     record: Record, cases: Iterable[tuple[str, Case]]
 ) -> Generator[tuple[Check, Case], None, None]:
     """
@@ -245,7 +245,7 @@ def exchanges() -> Iterator[Exchange]:
     most_coils = [coil(10), *other, coil(11 + 1968)]
     few_coils = [True, True, False, True, False]
     most_registers = [1100, *range(123), 1224]
-    for function, name, ask, look, seen in (
+    for function, name, ask, look, outcome in (
         (5, "on", call("write_coil", 10, True), coils(10, 2), [True, coil(11)]),
         (5, "off", call("write_coil", 12, False), coils(12, 2), [False, coil(13)]),
         (6, "few", call("write_register", 101, 65535), registers(100, 3), [1100, 65535, 1102]),
@@ -259,7 +259,7 @@ def exchanges() -> Iterator[Exchange]:
             *(registers(249, 3), [1249, 0xA5EF, 1251]),
         ),
     ):
-        yield Exchange(function, name, ask, None, look, seen)
+        yield Exchange(function, name, ask, None, look, outcome)
     ask = call("read_write_registers", 100, 2, 101, [7])
     yield Exchange(23, "few", ask, [1100, 7], registers(101, 2), [7, 1102])
     ask = call("read_write_registers", 100, 125, 104, range(121))
@@ -306,7 +306,7 @@ def of_a_client(
 
 def check_answers(url: str, peer: str, cases: Iterable[Exchange], record: Record) -> None:
     """Assert that clients get each answer of a server, and that it does what it is asked."""
-    for check, exchange in tried(record, of_a_client(peer, parse(url).scheme, cases)):
+    for check, exchange in try_cases(record, of_a_client(peer, parse(url).scheme, cases)):
         with check, connected(url) as context:
             for _ in range(2):
                 assert exchange.ask(context) == exchange.answer
@@ -316,7 +316,7 @@ def check_answers(url: str, peer: str, cases: Iterable[Exchange], record: Record
 
 def check_refusals(url: str, peer: str, record: Record) -> None:
     """Assert that clients raise what a server refuses, and go on."""
-    for check, exchange in tried(record, of_a_client(peer, parse(url).scheme, refusals())):
+    for check, exchange in try_cases(record, of_a_client(peer, parse(url).scheme, refusals())):
         # A line is silent for a timeout where an answer could be that of the request before.
         with check, connected(url, timeout=2.0) as context:
             for _ in range(2):

@@ -44,7 +44,7 @@ LASTING_DESCRIPTORS: set[str] = set()
 LASTING_CHILDREN: set[str] = set()
 
 
-def lasts(descriptor: int, process: int) -> None:
+def note_lasting(descriptor: int, process: int) -> None:
     """Let the rest of the run keep a descriptor and a child process: no test left them."""
     LASTING_DESCRIPTORS.add(str(descriptor))
     LASTING_CHILDREN.add(str(process))
@@ -91,11 +91,11 @@ def _children() -> frozenset[str]:
             os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
         except ChildProcessError:
             return frozenset()
-    found: set[str] = set()
+    numbers: set[str] = set()
     for task in TASKS.iterdir():
         with contextlib.suppress(OSError):  # a thread that has ended meanwhile
-            found.update((task / "children").read_text().split())
-    return frozenset(found)
+            numbers.update((task / "children").read_text().split())
+    return frozenset(numbers)
 
 
 def _names(before: Snapshot, after: Snapshot) -> list[str]:
@@ -123,17 +123,17 @@ def _owner(number: int) -> str:
     except OSError:  # closed meanwhile
         return ""
     try:
-        made = socket.socket(fileno=copy)
+        socket_ = socket.socket(fileno=copy)
     except OSError:
         os.close(copy)
         return next((f"of {each!r}" for each in gc.get_objects() if _holds(each, number)), "")
-    with made:
-        return f"{made.type.name} {made.getsockname()} {_peer(made)}".rstrip()
+    with socket_:
+        return f"{socket_.type.name} {socket_.getsockname()} {_peer(socket_)}".rstrip()
 
 
-def _peer(made: socket.socket) -> str:
+def _peer(socket_: socket.socket) -> str:
     with contextlib.suppress(OSError):
-        return f"connected to {made.getpeername()}"
+        return f"connected to {socket_.getpeername()}"
     return ""
 
 
@@ -149,8 +149,8 @@ def _named_process(number: str) -> str:
     with contextlib.suppress(OSError):
         line = Path("/proc", number, "cmdline").read_bytes().replace(b"\0", b" ").strip()
         state = Path("/proc", number, "stat").read_text().rpartition(")")[2].split()[0]
-        ended = " that has ended and was not waited for" if state == "Z" else ""
-        return f"process {number}{ended}: {line.decode(errors='replace')[:200]}"
+        note = " that has ended and was not waited for" if state == "Z" else ""
+        return f"process {number}{note}: {line.decode(errors='replace')[:200]}"
     return ""
 
 
@@ -194,12 +194,12 @@ class Loops:
 
     def names(self) -> list[str]:
         """Return what is left."""
-        found = list(self.left)
+        tasks = list(self.left)
         for loop in list(self._open):
             if id(loop) not in self._known and not loop.is_closed():
-                found.append(f"event loop {loop!r}")
-                found += [_named_task(each) for each in asyncio.all_tasks(loop)]
-        return found
+                tasks.append(f"event loop {loop!r}")
+                tasks += [_named_task(each) for each in asyncio.all_tasks(loop)]
+        return tasks
 
 
 def _named_task(task: asyncio.Task[Any]) -> str:
@@ -213,13 +213,13 @@ LOOPS = Loops()
 def pytest_configure(config: pytest.Config) -> None:
     """Make event loops and their runners report what they hold when they end."""
     if not hasattr(base_events.BaseEventLoop.close, "__wrapped__"):
-        _tell_before(base_events.BaseEventLoop, "__init__", LOOPS.made)
-        _tell_before(base_events.BaseEventLoop, "close", LOOPS.closing)
-        _tell_before(runners, "_cancel_all_tasks", LOOPS.cancelling)
-        _tell_before(runners.Runner, "run", LOOPS.running)
+        _call_before(base_events.BaseEventLoop, "__init__", LOOPS.made)
+        _call_before(base_events.BaseEventLoop, "close", LOOPS.closing)
+        _call_before(runners, "_cancel_all_tasks", LOOPS.cancelling)
+        _call_before(runners.Runner, "run", LOOPS.running)
 
 
-def _tell_before(owner: Any, name: str, tell: Callable[..., None]) -> None:
+def _call_before(owner: Any, name: str, tell: Callable[..., None]) -> None:
     wrapped = getattr(owner, name)
 
     def telling(*arguments: Any, **options: Any) -> Any:
@@ -237,21 +237,21 @@ def freeze() -> None:
 
 
 @pytest.fixture(autouse=True)
-def nothing_left(request: pytest.FixtureRequest) -> Iterator[None]:
+def no_leaks(request: pytest.FixtureRequest) -> Iterator[None]:
     """Fail a test that left something behind, by name."""
     replier()  # each thread keeps one, and has it from its first request on
     LOOPS.begin()
     before = Snapshot.taken()
     yield
     if before.has_less_than(Snapshot.taken()):
-        _let_go_of_logs(request.node)
-    names = settled(before, LOOPS.names())
+        _forget_logs(request.node)
+    names = remaining_leaks(before, LOOPS.names())
     freeze()
     if names:
         pytest.fail("left behind: " + "; ".join(names), pytrace=False)
 
 
-def _let_go_of_logs(item: pytest.Item) -> None:
+def _forget_logs(item: pytest.Item) -> None:
     """Drop the tracebacks that pytest keeps for its report; their texts are enough for it."""
     for records in item.stash.get(caplog_records_key, {}).values():
         for record in records:
@@ -260,7 +260,7 @@ def _let_go_of_logs(item: pytest.Item) -> None:
                 record.exc_info = None
 
 
-def settled(before: Snapshot, names: list[str]) -> list[str]:
+def remaining_leaks(before: Snapshot, names: list[str]) -> list[str]:
     """
     Collect garbage, and return the names of what is still there after a moment. `before`: what
     there was; `names`: of what event loops left.
@@ -269,9 +269,9 @@ def settled(before: Snapshot, names: list[str]) -> list[str]:
     gc.collect()
     until = time.monotonic() + MOMENT
     while before.has_less_than(after := Snapshot.taken()):
-        left = _names(before, after)
+        leaks = _names(before, after)
         if time.monotonic() > until:
-            return names + left
+            return names + leaks
         time.sleep(GLANCE)
         gc.collect()
     return names

@@ -29,7 +29,7 @@ def resolve(monkeypatch: pytest.MonkeyPatch, name: str, *addresses: str) -> None
         host: Any, port: Any, family: int = 0, type: int = 0, proto: int = 0, flags: int = 0
     ) -> list[Any]:
         is_name = host == name and not flags & socket.AI_NUMERICHOST
-        known = (addresses or ("127.0.0.1",)) if is_name else (host,)
-        return [each for at in known for each in look_up(at, port, family, type, proto, flags)]
+        hosts = (addresses or ("127.0.0.1",)) if is_name else (host,)
+        return [each for at in hosts for each in look_up(at, port, family, type, proto, flags)]
 
     monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)

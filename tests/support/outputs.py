@@ -87,7 +87,7 @@ async def pumping(output: Output) -> AsyncIterator[Pump]:
     await pump.task
 
 
-async def pumped(output: Output, readings: Sequence[Reading]) -> Pump:
+async def pump_all(output: Output, readings: Sequence[Reading]) -> Pump:
     """Write readings until each was written or dropped, in simulated time."""
     async with pumping(output) as pump:
         pump.buffer.put_readings(readings)

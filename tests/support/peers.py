@@ -374,7 +374,7 @@ class FakeUnit(LinePeer):
 
 
 @contextlib.contextmanager
-def dead() -> Iterator[int]:
+def mute_port() -> Iterator[int]:
     """A port that answers nothing at all, as a dead host: its backlog is full."""
     with socket.socket() as listener, contextlib.ExitStack() as stack:
         listener.bind(("127.0.0.1", 0))
@@ -401,7 +401,7 @@ def url_of(bound: socket.socket) -> str:
 def until(condition: Callable[[], T]) -> T:
     """Wait for another thread or process; return what the condition gives when that is true."""
     end = time.monotonic() + 30
-    while not (found := condition()):
+    while not (result := condition()):
         assert time.monotonic() < end, "waited in vain"
         time.sleep(0.001)
-    return found
+    return result

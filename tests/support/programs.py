@@ -19,10 +19,10 @@ def find(name: str) -> str | None:
 
 def program(name: str) -> str:
     """Return the path of a program. Raise `FileNotFoundError`: the program is not installed."""
-    found = find(name)
-    if found is None:
+    path = find(name)
+    if path is None:
         raise FileNotFoundError(f"{name} is not installed")
-    return found
+    return path
 
 
 def missing(*names: str) -> list[str]:

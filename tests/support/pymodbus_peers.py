@@ -50,11 +50,11 @@ SERIAL_SETTINGS: dict[str, Any] = {"baudrate": BAUDRATE, "parity": "N", "bytesiz
 def tls_context(url: str, purpose: ssl.Purpose = ssl.Purpose.SERVER_AUTH) -> ssl.SSLContext:
     """Return the context of a client, or of a server, whose certificate stands in the URL."""
     files = parse(url).options
-    made = ssl.create_default_context(purpose, cafile=files["ca"])
-    made.check_hostname = False  # the blocking client of pymodbus does not tell ssl whom it wants
-    made.verify_mode = ssl.CERT_REQUIRED
-    made.load_cert_chain(files["cert"], files["key"])
-    return made
+    tls = ssl.create_default_context(purpose, cafile=files["ca"])
+    tls.check_hostname = False  # the blocking client of pymodbus does not tell ssl whom it wants
+    tls.verify_mode = ssl.CERT_REQUIRED
+    tls.load_cert_chain(files["cert"], files["key"])
+    return tls
 
 
 @contextlib.contextmanager

@@ -7,12 +7,12 @@ from libmodbus_py import pdu
 from .peers import OnRequest, Write, answer, echo
 
 
-def good(request: bytes, write: Write) -> None:
+def on_read(request: bytes, write: Write) -> None:
     """Answer a read over TCP at once."""
     write(echo(request))
 
 
-def good_at(scheme: str, after: float = 0.0) -> OnRequest:
+def on_read_at(scheme: str, after: float = 0.0) -> OnRequest:
     """Return what answers a read over any transport, after so many seconds."""
     return lambda request, write: write(answer(request, scheme), after=after)
 

@@ -1,61 +1,61 @@
-"""What answers the requests of a `Talk`, whatever their framing."""
+"""What answers the requests of a `Driver`, whatever their framing."""
 
 import pytest
 
 from libmodbus_py import ModbusTimeoutError
 
-from .talk import LINE, TCP, Talk, kinds, rtu, tcp, value
+from .driver import LINE, TCP, Driver, kinds, rtu, tcp, value
 
 BOTH = pytest.mark.parametrize("url", [TCP, LINE])
 
 
-def answer(talk: Talk, at: int = -1) -> bytes:
+def answer(driver: Driver, at: int = -1) -> bytes:
     """Answer a request of a single register with its address."""
-    adu = talk.sent[at]
-    if talk.has_ids:
+    adu = driver.sent[at]
+    if driver.has_ids:
         return tcp(adu)
     return value(int.from_bytes(adu[2:4], "big"), unit=adu[0])
 
 
-def answer_all(talk: Talk) -> None:
+def answer_all(driver: Driver) -> None:
     """Answer the last request, and what is sent then, until nothing is left."""
-    while not talk.is_at_rest:
-        talk.come(answer(talk))
+    while not driver.is_at_rest:
+        driver.come(answer(driver))
 
 
 def exchange(
-    talk: Talk, address: int, result: int | None = None, unit: int = 1, after: float = 0.0
+    driver: Driver, address: int, result: int | None = None, unit: int = 1, after: float = 0.0
 ) -> None:
     """
     Ask for a register, and check that what is answered is the result at once. `result`: what is
     answered; by default the address; `after`: how many seconds the answer takes.
     """
     number = address if result is None else result
-    batch = talk.ask(address, unit=unit)
-    talk.wait(after)
-    talk.come(reply(talk, f"03 02 {number:04X}"))
+    batch = driver.ask(address, unit=unit)
+    driver.wait(after)
+    driver.come(reply(driver, f"03 02 {number:04X}"))
     assert batch.outcomes == [[number]]
 
 
-def unanswered(talk: Talk, address: int = 1, unit: int = 1) -> None:
+def time_out(driver: Driver, address: int = 1, unit: int = 1) -> None:
     """Ask for a register, and check that the request fails when its time is over."""
-    batch = talk.ask(address, unit=unit)
-    talk.wait(talk.settings["timeout"])
+    batch = driver.ask(address, unit=unit)
+    driver.wait(driver.settings["timeout"])
     assert kinds(batch) == [ModbusTimeoutError]
 
 
-def reply(talk: Talk, body: str, at: int = -1) -> bytes:
+def reply(driver: Driver, body: str, at: int = -1) -> bytes:
     """Answer a request with a PDU."""
-    adu = talk.sent[at]
-    return tcp(adu, body) if talk.has_ids else rtu(f"{adu[0]:02X} {body}")
+    adu = driver.sent[at]
+    return tcp(adu, body) if driver.has_ids else rtu(f"{adu[0]:02X} {body}")
 
 
-def refusal(talk: Talk, code: int, at: int = -1) -> bytes:
+def refusal(driver: Driver, code: int, at: int = -1) -> bytes:
     """Refuse a read of holding registers."""
-    return reply(talk, f"83 {code:02X}", at)
+    return reply(driver, f"83 {code:02X}", at)
 
 
-def addresses(talk: Talk) -> list[int]:
+def addresses(driver: Driver) -> list[int]:
     """Return the addresses of the requests, in their order."""
-    first = 8 if talk.has_ids else 2
-    return [int.from_bytes(each[first : first + 2], "big") for each in talk.sent]
+    first = 8 if driver.has_ids else 2
+    return [int.from_bytes(each[first : first + 2], "big") for each in driver.sent]

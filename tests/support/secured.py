@@ -55,19 +55,19 @@ class Sealing:
     def take(self, data: bytes) -> bytes:
         """Return what was decrypted of what came."""
         self._incoming.write(data)
-        found = b""
+        plain = b""
         try:
             if not self._is_open:
                 self._tls.do_handshake()
                 self._is_open = True
             while piece := self._tls.read(16_384):
-                found += piece
+                plain += piece
             self.is_ended = True
         except ssl.SSLWantReadError:
             pass
         except ssl.SSLError:
             self.is_ended = True
-        return found
+        return plain
 
     def seal(self, data: bytes) -> None:
         """Encrypt what is to be sent: see `outgoing`."""

@@ -26,10 +26,10 @@ def file_device(name: str) -> list[int]:
 
     path = Path(sunspec2.__file__).parent / "tests" / "test_data" / name
     models = []
-    for given in json.loads(path.read_text())["models"]:
-        if given["ID"] == END[0]:
+    for model in json.loads(path.read_text())["models"]:
+        if model["ID"] == END[0]:
             break
-        data = FileClientModel(given["ID"], 0, given.get("L"), data=given).get_mb()
+        data = FileClientModel(model["ID"], 0, model.get("L"), data=model).get_mb()
         cells = list(struct.unpack(f">{len(data) // 2}H", data))
         models.append([cells[0], len(cells) - 2, *cells[2:]])  # one of the files has no lengths
     return chain(*models)
@@ -43,7 +43,7 @@ def serving(cells: Sequence[int], base: int = 40000) -> Generator[str]:
         yield running.urls[0]
 
 
-class Walked:
+class Walk:
     """
     A procedure that is carried out on registers in memory. `result`: its result; `requests`:
     address and count of each of its requests.
@@ -62,15 +62,15 @@ class Walked:
             self.result = done.value
 
     def _answer(self, request: Any, cells: dict[int, int]) -> Any:
-        asked = range(request.address, request.address + request.count)
+        addresses = range(request.address, request.address + request.count)
         self.requests.append((request.address, request.count))
         assert 1 <= request.count <= 125
-        assert asked.stop <= 65536
-        if not all(at in cells for at in asked):
+        assert addresses.stop <= 65536
+        if not all(at in cells for at in addresses):
             return IllegalDataAddress()
-        return [cells[at] for at in asked]
+        return [cells[at] for at in addresses]
 
 
-def walked(steps: Generator[Any, Any, Any], cells: Iterable[int], base: int = 40000) -> Walked:
+def walk_through(steps: Generator[Any, Any, Any], cells: Iterable[int], base: int = 40000) -> Walk:
     """Carry out a procedure on registers from an address on."""
-    return Walked(steps, dict(enumerate(cells, base)))
+    return Walk(steps, dict(enumerate(cells, base)))

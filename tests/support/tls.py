@@ -15,7 +15,7 @@ import pytest
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.certificates import Identity
-from tests.simulation.stage import Stage, Talker
+from tests.simulation.lan import Lan, LanClient
 from tests.support import certificates
 from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_ONE, adu, connect
 from tests.support.certificates import Files, Pki
@@ -46,22 +46,22 @@ def context(
     A client's, which trusts the authority. `identity`: what it shows; None for no certificate;
     `version`: the one it speaks; None for what it can; `ciphers`: of TLS 1.2 and older.
     """
-    made = ssl.create_default_context(cafile=str(pki.ca))
+    context_ = ssl.create_default_context(cafile=str(pki.ca))
     if ciphers is not None:
-        made.set_ciphers(ciphers)
+        context_.set_ciphers(ciphers)
     if version is not None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of the old ones
-            made.minimum_version = made.maximum_version = version
+            context_.minimum_version = context_.maximum_version = version
     if identity is not None:
         files: Files = pki.files(identity)
-        made.load_cert_chain(files.cert, files.key)
-    return made
+        context_.load_cert_chain(files.cert, files.key)
+    return context_
 
 
 class TlsClient:
     """
-    A connection. `source`: the address that it comes from; `stage`: where the server is, in place
+    A connection. `source`: the address that it comes from; `lan`: where the server is, in place
     of the system. `socket`: what the records go over; `tls`: the state of TLS.
     """
 
@@ -71,11 +71,9 @@ class TlsClient:
         context: ssl.SSLContext,
         session: ssl.SSLSession | None = None,
         source: str = "",
-        stage: Stage | None = None,
+        lan: Lan | None = None,
     ) -> None:
-        self.socket: Any = (
-            stage.talk(port, source or None) if stage else connect(port, source=source)
-        )
+        self.socket: Any = lan.client(port, source or None) if lan else connect(port, source=source)
         self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
         self.tls = context.wrap_bio(
             self._incoming, self._outgoing, server_hostname="localhost", session=session
@@ -154,26 +152,24 @@ class TlsClient:
             self.socket.sendall(data)
 
 
-def connected(
-    stage: Stage, pki: Pki, port: int, version: ssl.TLSVersion | None = None
-) -> TlsClient:
-    """Return a client on the stage that the server trusts, after the handshake."""
-    told = context(pki, certificates.client(), version)
-    return TlsClient(port, told, stage=stage).handshake()
+def connected(lan: Lan, pki: Pki, port: int, version: ssl.TLSVersion | None = None) -> TlsClient:
+    """Return a client on the LAN that the server trusts, after the handshake."""
+    context_ = context(pki, certificates.client(), version)
+    return TlsClient(port, context_, lan=lan).handshake()
 
 
 @contextlib.contextmanager
 def talking(
-    stage: Stage,
+    lan: Lan,
     pki: Pki,
     device: Device | None = None,
     version: ssl.TLSVersion | None = None,
     **options: Any,
 ) -> Iterator[tuple[Server, TlsClient]]:
-    """Serve on the stage; give the server and a client, after the handshake."""
+    """Serve on the LAN; give the server and a client, after the handshake."""
     with (
         serving(pki, device, **options) as (server, port),
-        connected(stage, pki, port, version) as client,
+        connected(lan, pki, port, version) as client,
     ):
         yield server, client
 
@@ -187,9 +183,9 @@ def hello(pki: Pki) -> bytes:
     return outgoing.read()
 
 
-def is_served(pki: Pki, port: int, stage: Stage | None = None) -> bool:
-    told = context(pki, certificates.client())
-    with TlsClient(port, told, stage=stage).handshake() as client:
+def is_served(pki: Pki, port: int, lan: Lan | None = None) -> bool:
+    context_ = context(pki, certificates.client())
+    with TlsClient(port, context_, lan=lan).handshake() as client:
         return client.is_answered()
 
 
@@ -205,7 +201,7 @@ def nothing_loud(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
     assert len(loud) <= 20
 
 
-def reset(connection: socket.socket | Talker) -> None:
+def reset(connection: socket.socket | LanClient) -> None:
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     connection.close()
 
@@ -219,7 +215,7 @@ def wait_until(is_so: Callable[[], bool]) -> bool:
     return True
 
 
-def closed(connection: socket.socket | Talker) -> bytes:
+def closed(connection: socket.socket | LanClient) -> bytes:
     """Return what still comes until the server closes; a reset is a close, too."""
     data = b""
     with contextlib.suppress(ConnectionError):

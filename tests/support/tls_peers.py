@@ -160,15 +160,15 @@ class TlsServer(Accepting):
         self.ended = 0
 
     def _shake_hands(self, peer: socket.socket) -> None:
-        made = Peer(peer, self.context)
+        sealed = Peer(peer, self.context)
         try:
-            made.shake_hands()
+            sealed.shake_hands()
         except OSError as error:
             self.errors.append(error)
             return
-        self.resumed.append(bool(made.tls.session_reused))
+        self.resumed.append(bool(sealed.tls.session_reused))
         try:
-            self.script(made)
+            self.script(sealed)
         finally:
             peer.close()
             self.ended += 1
@@ -209,10 +209,10 @@ class Sealed:
 
     def change_of_keys(self, *, is_answer_wanted: bool = False) -> bytes:
         """KeyUpdate, and new keys from then on."""
-        made = self.record(b"\x18\0\0\x01" + bytes([is_answer_wanted]), HANDSHAKE)
+        record = self.record(b"\x18\0\0\x01" + bytes([is_answer_wanted]), HANDSHAKE)
         self._secret = self._expand("traffic upd", 48)
         self._derive()
-        return made
+        return record
 
     def ticket(self, size: int = 100) -> bytes:
         """NewSessionTicket, in no record yet."""

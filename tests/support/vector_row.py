@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from tests.support.talk import ascii_frame, rtu
+from tests.support.driver import ascii_frame, rtu
 
 FILE = Path(__file__).with_name("vectors.json")
 

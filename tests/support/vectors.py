@@ -106,9 +106,9 @@ EXCEPTIONS = [vector for vector in FRAMES if vector.kind == "exception"]
 
 def exchanges() -> list[tuple[FrameVector, FrameVector]]:
     """Return request and answer of each example that has both."""
-    asked = {vector.id: vector for vector in REQUESTS}
+    requests = {vector.id: vector for vector in REQUESTS}
     answers = [*RESPONSES, *EXCEPTIONS]
-    return [(asked[each.request], each) for each in answers if each.request in asked]
+    return [(requests[each.request], each) for each in answers if each.request in requests]
 
 
 CHECKSUMS = [

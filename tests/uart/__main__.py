@@ -59,10 +59,10 @@ class Cable:
         since, until = self._sends[end]
         since, until = (since, until) if until > now else (now, now)
         for byte in data:
-            changed, lost, doubled = (self._random.random() < share for share in self._shares)
+            changed, is_lost, doubled = (self._random.random() < share for share in self._shares)
             until += self._character
             byte ^= changed << self._random.randrange(8)
-            self._bytes[end].extend([(until, byte)] * (0 if lost else 1 + doubled))
+            self._bytes[end].extend([(until, byte)] * (0 if is_lost else 1 + doubled))
         self._sends[end] = since, until
 
     def _is_disturbed(self, end: socket.socket, due: float) -> bool:
@@ -75,7 +75,7 @@ def main() -> int:
     python = Path(sys.executable).resolve()
     words = [sys.executable, str(python), sysconfig.get_path("stdlib")]
     subprocess.run(["sh", str(HERE / "machine.sh"), *words], check=True)
-    begun, is_right, text = time.monotonic(), False, b""
+    start, is_right, text = time.monotonic(), False, b""
     near, far = zip(*(socket.socketpair() for _ in UARTS), strict=True)
     command = [*QEMU.split(), "-kernel", str(BUILD / "vmlinuz"), "-append", OPTIONS]
     command += ["-initrd", str(BUILD / "initramfs")]
@@ -104,7 +104,7 @@ def main() -> int:
     finally:
         machine.kill()
         machine.wait()
-    print(f"{time.monotonic() - begun:.0f} s")
+    print(f"{time.monotonic() - start:.0f} s")
     return not is_right
 
 

@@ -107,12 +107,12 @@ class Row:
         server = multiprocessing.Process(target=serve, args=arguments)
         server.start()
         ready.wait(60)
-        self.line, begun = self.make_master(master), time.monotonic()
+        self.line, start = self.make_master(master), time.monotonic()
         work(self)
         self.line.close()
         server.kill()
         server.join()
-        what, seconds = f"{work.__name__}: {master}, {slave}", round(time.monotonic() - begun)
+        what, seconds = f"{work.__name__}: {master}, {slave}", round(time.monotonic() - start)
         counts = number, self.wrong, len(self.errors), seconds
         print(FORMAT.format(what.replace("_", " "), scheme, rate, form, *counts), *self.errors[-1:])
         self.is_right = not self.wrong and len(self.errors) <= may_lose
@@ -154,7 +154,7 @@ class Row:
             if index % 2:
                 cells = self.attempt(self.line.read_holding_registers, address, size) or ()
                 pairs = zip(cells, model[address : address + size], strict=False)
-                self.wrong += any(expected not in (None, cell) for cell, expected in pairs)
+                self.wrong += any(value not in (None, cell) for cell, value in pairs)
             else:
                 self.attempt(self.line.write_register, address, index * 31 & 0xFFFF)
                 model[address] = index * 31 & 0xFFFF if len(self.errors) == failures else None
@@ -191,9 +191,9 @@ class Row:
             self.line.write_registers(0, [*range(10)])
         is_over.set()
         thread.join()
-        sent = [after for before, after in pairwise(states) if before[4] != after[4]]
-        self.wrong += sum(("RTS" in words) is not is_on for words in sent)
-        self.wrong += not sent or ("RTS" in state(1)) is is_on
+        states_ = [after for before, after in pairwise(states) if before[4] != after[4]]
+        self.wrong += sum(("RTS" in words) is not is_on for words in states_)
+        self.wrong += not states_ or ("RTS" in state(1)) is is_on
         self.refused()
         self.mixed()
 

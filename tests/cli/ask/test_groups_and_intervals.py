@@ -54,8 +54,8 @@ def url(meter: Meter) -> Iterator[str]:
 
 
 def test_a_group_is_read(meter: Meter, url: str, path: Path) -> None:
-    found = json.loads(run("read", url, "--map", path, "--group", "fast", "--json").out)
-    assert found["values"] == {"v": 230}
+    output = json.loads(run("read", url, "--map", path, "--group", "fast", "--json").out)
+    assert output["values"] == {"v": 230}
     assert meter.asked == [0]
     more = run("read", url, "--map", path, "--group", "slow", "--group", "fast", "--json")
     assert set(json.loads(more.out)["values"]) == {"v", "energy", "serial"}
@@ -65,13 +65,13 @@ def test_a_group_is_read(meter: Meter, url: str, path: Path) -> None:
 
 def test_points_are_watched_at_their_intervals(meter: Meter, url: str, path: Path) -> None:
     lines = run("read", url, "--map", path, "--watch", "0.01", "--count", "3", "--json").out
-    found = [json.loads(line) for line in lines.splitlines()]
+    rows = [json.loads(line) for line in lines.splitlines()]
     assert meter.asked.count(0) == 3
     assert meter.asked.count(9) == 1
-    assert [each["values"]["serial"] for each in found] == [0, 0, 0]
+    assert [each["values"]["serial"] for each in rows] == [0, 0, 0]
     # The second total was smaller, was read again at once, and still was.
-    assert [each["values"]["energy"] for each in found] == [100, 4, 4]
-    assert [each.get("fell") for each in found] == [None, ["energy"], None]
+    assert [each["values"]["energy"] for each in rows] == [100, 4, 4]
+    assert [each.get("fell") for each in rows] == [None, ["energy"], None]
 
 
 def test_text_and_csv_tell_of_a_total_that_fell(meter: Meter, url: str, path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from libmodbus_py import Client, Device, Fault, Mapping, Server, load_map, sunspec
 from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.support.cases import each_case
-from tests.support.commands import Done, Started, run
+from tests.support.commands import Result, Started, run
 from tests.support.peers import FakeServer, mbap, until
 from tests.support.sunspec import file_device
 from tests.support.sunspec import serving as sunspec_device
@@ -20,10 +20,10 @@ from tests.support.sunspec import serving as sunspec_device
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
-def mapped(*arguments: object, code: int = 0) -> Done:
-    done = run("map", *arguments)
-    assert done.code == code, done.err
-    return done
+def run_map(*arguments: object, code: int = 0) -> Result:
+    result = run("map", *arguments)
+    assert result.code == code, result.err
+    return result
 
 
 @pytest.fixture
@@ -36,9 +36,9 @@ def url() -> Iterator[str]:
 @pytest.mark.parametrize("suffix", [".toml", ".csv"])
 def test_a_skeleton_reads_what_the_device_has(url: str, tmp_path: Path, suffix: str) -> None:
     file = tmp_path / f"found{suffix}"
-    done = mapped("from-device", url.removeprefix("tcp://"), "-u", "3", "-o", file)
-    assert done.out == ""
-    assert done.err == f"{file}: 5 points; fill in names, types and units\n"
+    result = run_map("from-device", url.removeprefix("tcp://"), "-u", "3", "-o", file)
+    assert result.out == ""
+    assert result.err == f"{file}: 5 points; fill in names, types and units\n"
     with Client(url, unit=3, timeout=5) as plc:
         assert plc.read_map(load_map(file)) == {
             "coil_0": False,
@@ -54,19 +54,19 @@ def test_a_skeleton_reads_what_the_device_has(url: str, tmp_path: Path, suffix: 
 def test_a_skeleton_of_very_much_has_ranges(tmp_path: Path) -> None:
     device = Device(Mapping(coils=5000, input_registers=3))
     with Server(device).background("tcp://127.0.0.1:0") as running:
-        done = mapped("from-device", running.urls[0])
-    (tmp_path / "found.toml").write_text(done.out)
-    found = load_map(tmp_path / "found.toml")
-    assert [(each.name, each.count) for each in found.values()] == [
+        result = run_map("from-device", running.urls[0])
+    (tmp_path / "found.toml").write_text(result.out)
+    skeleton = load_map(tmp_path / "found.toml")
+    assert [(each.name, each.count) for each in skeleton.values()] == [
         ("coil_0", 5000),
         ("input_0", 3),
     ]
 
 
-def test_nobody_there(url: str, tmp_path: Path) -> None:
+def test_a_silent_unit_gives_no_map(url: str, tmp_path: Path) -> None:
     file = tmp_path / "found.csv"
-    done = mapped("from-device", url, "--unit", "9", "-o", file, code=1)
-    assert done.err == "libmodbus-py: no table can be read: the unit does not answer any more\n"
+    result = run_map("from-device", url, "--unit", "9", "-o", file, code=1)
+    assert result.err == "libmodbus-py: no table can be read: the unit does not answer any more\n"
     assert not file.exists()
 
 
@@ -81,22 +81,22 @@ def test_ctrl_c_keeps_what_was_found(tmp_path: Path) -> None:
     file = tmp_path / "found.toml"
     with (
         FakeServer(answer) as server,
-        Started("map", "from-device", server.url, "-o", file) as made,
+        Started("map", "from-device", server.url, "-o", file) as process,
     ):
         until(lambda: len(server.requests) > 60)
-        made.send_signal(signal.SIGINT)
-        _, errors = made.communicate()
-    assert made.returncode == 130
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate()
+    assert process.returncode == 130
     assert "Traceback" not in errors
     assert list(load_map(file)) == [f"coil_{at}" for at in range(10)]
     assert ": ended by the user" in file.read_text()
 
 
 def test_the_maps_that_come_with_the_package() -> None:
-    listed = mapped("list").out.splitlines()
+    listed = run_map("list").out.splitlines()
     assert "sdm120       Eastron SDM120-Modbus, a single-phase meter" in listed
     for line in listed:
-        assert mapped("check", EXAMPLES / f"{line.split()[0]}.csv").code == 0
+        assert run_map("check", EXAMPLES / f"{line.split()[0]}.csv").code == 0
         assert len(line.split()) > 2
 
 
@@ -115,8 +115,8 @@ def test_it_writes_and_prints_the_same(folder: Path) -> None:
     assert "class Meter(" in printed.out
     assert "def set_point(self) -> int:" in printed.out
     for _ in range(2):  # it takes the place of what the command itself has written
-        done = run("map", "class", folder / "meter.csv", "-o", folder / "plant.py")
-        assert (done.code, done.out, done.err) == (0, "", f"{folder / 'plant.py'}: 2 points\n")
+        result = run("map", "class", folder / "meter.csv", "-o", folder / "plant.py")
+        assert result == (0, "", f"{folder / 'plant.py'}: 2 points\n")
         assert (folder / "plant.py").read_text() == printed.out
     assert sorted(os.listdir(folder)) == ["meter.csv", "plant.py"]
 
@@ -125,20 +125,20 @@ def test_it_writes_and_prints_the_same(folder: Path) -> None:
 def test_the_map_has_the_points_that_are_discovered(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"inverter.{suffix}"
     with sunspec_device(file_device("device_1547.json")) as url:
-        done = run("map", "from-sunspec", url, "-o", str(path))
-        assert (done.code, done.err) == (0, f"{path}: 415 points\n")
+        result = run("map", "from-sunspec", url, "-o", str(path))
+        assert (result.code, result.err) == (0, f"{path}: 415 points\n")
         with Client(url) as plc:
-            found = sunspec.discover(plc).map
-            assert plc.read_map(load_map(path)) == plc.read_map(found)
-    assert dict(load_map(path)) == dict(found)
+            points = sunspec.discover(plc).map
+            assert plc.read_map(load_map(path)) == plc.read_map(points)
+    assert dict(load_map(path)) == dict(points)
     assert run("map", "from-sunspec", url, "-o", str(path)).code == 2
 
 
 def test_the_values_of_all_models_are_printed() -> None:
     with sunspec_device(file_device("device_1547.json")) as url:
-        done = run("sunspec", url)
-    assert (done.code, done.err) == (0, "")
-    lines = [" ".join(line.split()) for line in done.out.splitlines()]
+        result = run("sunspec", url)
+    assert (result.code, result.err) == (0, "")
+    lines = [" ".join(line.split()) for line in result.out.splitlines()]
     assert "40004 common.Mn SunSpecTest" in lines
     assert any(line.endswith("DERMeasureAC.W 9800 W") for line in lines)
     assert not any("InvSt" in line for line in lines)
@@ -159,19 +159,19 @@ def device(*missing: int) -> Device:
 def test_few_requests_find_what_a_device_lacks(points: Path, missing, most) -> None:
     with ServerMaker() as maker:
         server = maker(devices=device(*missing))
-        done = run("map", "check", points, "--device", server.url)
-    assert done.code == (1 if missing else 0)
+        result = run("map", "check", points, "--device", server.url)
+    assert result.code == (1 if missing else 0)
     assert len(server.transactions) <= most
 
 
 def test_a_device_that_is_silent_or_busy(points: Path) -> None:
     with ServerMaker() as maker:
         silent = maker(faults={None: [Fault("no_answer")]})
-        done = run("map", "check", points, "--device", silent.url, "--timeout", "0.1")
-        assert done.code == 1
-        assert "no answer" in done.err
+        result = run("map", "check", points, "--device", silent.url, "--timeout", "0.1")
+        assert result.code == 1
+        assert "no answer" in result.err
         busy = maker(faults={None: [Fault("exception", code=6)]})
-        done = run("map", "check", points, "--device", busy.url)
-        assert done.code == 1
-        assert "server device busy" in done.err
+        result = run("map", "check", points, "--device", busy.url)
+        assert result.code == 1
+        assert "server device busy" in result.err
         assert len(busy.transactions) == 1

@@ -31,18 +31,18 @@ from tests.support.peers import FakeServer, mbap
 
 @pytest.fixture
 def maker() -> Iterator[ServerMaker]:
-    with ServerMaker() as made:
-        yield made
+    with ServerMaker() as servers:
+        yield servers
 
 
 def test_ranges_take_as_many_requests_as_they_must(url: str) -> None:
-    done = run("read", url, "holding", "0", "600", "coils", "0", "100", "-v")
-    assert done.out.count("\n") == 700
-    requests = [line for line in done.err.splitlines() if " > " in line]
+    result = run("read", url, "holding", "0", "600", "coils", "0", "100", "-v")
+    assert result.out.count("\n") == 700
+    requests = [line for line in result.err.splitlines() if " > " in line]
     assert len(requests) == 6  # 600 registers of 125, and 100 coils of 2000
-    assert "holding 500    500\n" in done.out
-    done = run("read", url, "holding", "0", "100", "--max-registers", "30", "-v")
-    assert done.err.count(" > ") == 4
+    assert "holding 500    500\n" in result.out
+    result = run("read", url, "holding", "0", "100", "--max-registers", "30", "-v")
+    assert result.err.count(" > ") == 4
     assert run("read", url, "holding", "0", "--max-registers", "0").code == 2
     # No request divides a value: four registers each, of the seven that are allowed.
     words = ("read", url, "holding", "0", "3", "--type", "float64", "--max-registers", "7", "-v")
@@ -51,22 +51,22 @@ def test_ranges_take_as_many_requests_as_they_must(url: str) -> None:
         "00 04 00 04",
         "00 08 00 04",
     ]
-    done = run("read", url, "file:4", "0", "200", "--type", "uint32", "--json", "-v")
-    assert json.loads(done.out)["values"] == [0x70008, 0x90000, *[0] * 198]
-    lengths = [int(line[-5:].replace(" ", ""), 16) for line in done.err.splitlines()[::2]]
+    result = run("read", url, "file:4", "0", "200", "--type", "uint32", "--json", "-v")
+    assert json.loads(result.out)["values"] == [0x70008, 0x90000, *[0] * 198]
+    lengths = [int(line[-5:].replace(" ", ""), 16) for line in result.err.splitlines()[::2]]
     assert lengths == [120, 120, 120, 40]
 
 
-def test_longest_lists_of_values(url: str) -> None:
+def test_the_longest_lists_of_values_are_written_and_read(url: str) -> None:
     values = [str(number) for number in range(61)]
     assert run("write", url, "holding", "300", *values, "--type", "float32").code == 0
-    done = run("read", url, "holding", "300", "62", "--type", "float32", "--json")
-    assert json.loads(done.out)["values"] == [*range(61), 0]
+    result = run("read", url, "holding", "300", "62", "--type", "float32", "--json")
+    assert json.loads(result.out)["values"] == [*range(61), 0]
     assert run("write", url, "file:4", "0", *values, "--type", "int32").code == 0
-    done = run("read", url, "file:4", "2", "60", "--type", "int32", "--json")
-    assert json.loads(done.out)["values"] == [*range(1, 61)]
-    done = run("read", url, "holding", "40", "1", "--type", "string:250", "--json")
-    assert json.loads(done.out)["values"] == [""]
+    result = run("read", url, "file:4", "2", "60", "--type", "int32", "--json")
+    assert json.loads(result.out)["values"] == [*range(1, 61)]
+    result = run("read", url, "holding", "40", "1", "--type", "string:250", "--json")
+    assert json.loads(result.out)["values"] == [""]
 
 
 @each_case("code", [6, 10, 11])
@@ -79,15 +79,15 @@ def test_a_refusal_of_the_time_or_the_way_splits_nothing(maker: ServerMaker, tmp
 
 def test_diagnose_says_that_a_device_refused_to_listen_only(maker: ServerMaker) -> None:
     server = maker(faults={None: [Fault("exception", code=1)]})
-    done = run("diagnose", server.url, "force-listen-only")
-    assert done.code == 1
-    assert "illegal function" in done.err
+    result = run("diagnose", server.url, "force-listen-only")
+    assert result.code == 1
+    assert "illegal function" in result.err
 
 
 def test_diagnose_takes_silence_for_consent_to_listen_only(maker: ServerMaker) -> None:
     server = maker(faults={None: [Fault("no_answer")]})
-    done = run("diagnose", server.url, "force-listen-only", "7", "--json", "--timeout", "0.1")
-    assert (done.code, done.out) == (0, '{"unit": 1, "force listen only": 7}\n')
+    result = run("diagnose", server.url, "force-listen-only", "7", "--json", "--timeout", "0.1")
+    assert (result.code, result.out) == (0, '{"unit": 1, "force listen only": 7}\n')
     assert len(server.transactions) == 1
 
 
@@ -121,7 +121,7 @@ NO = IllegalFunction()
 
 @each_case("error", [SILENCE, CLOSED, NO, ExceptionResponse(code=200)])
 @each_case("at", [0, 1, 2])
-def test_the_others_are_shown(error: ModbusError, at: int) -> None:
+def test_a_question_that_fails_hides_no_other_answer(error: ModbusError, at: int) -> None:
     answers: list[Any] = [[("one", 1)], [("two", 2)]]
     answers.insert(at, error)
     questions = {str(number): question(each) for number, each in enumerate(answers)}
@@ -136,11 +136,11 @@ def test_the_others_are_shown(error: ModbusError, at: int) -> None:
 
 @each_case("error", [SILENCE, CLOSED])
 def test_a_device_that_says_nothing_is_not_asked_everything(error: ModbusError) -> None:
-    asked: list[str] = []
+    requests: list[str] = []
 
     def silent(name: str) -> Question:
         def ask(context: Client) -> list[tuple[str, Any]]:
-            asked.append(name)
+            requests.append(name)
             raise error
 
         return ask
@@ -148,7 +148,7 @@ def test_a_device_that_says_nothing_is_not_asked_everything(error: ModbusError) 
     questions = {str(number): silent(str(number)) for number in range(12)}
     with pytest.raises(type(error)):
         report(questions)
-    assert asked == ["0", "1", "2", "3"]
+    assert requests == ["0", "1", "2", "3"]
 
 
 def test_a_device_that_only_refuses_has_none_of_these() -> None:
@@ -159,10 +159,10 @@ def test_a_device_that_only_refuses_has_none_of_these() -> None:
 
 def test_a_device_may_close_the_connection_for_what_it_does_not_know(maker: ServerMaker) -> None:
     server = maker(faults={None: [Fault("disconnect", function=43)]})
-    done = run("identify", server.url)
-    assert (done.code, done.err) == (0, "")
-    assert "running" in done.out
-    assert "closed" in done.out
+    result = run("identify", server.url)
+    assert (result.code, result.err) == (0, "")
+    assert "running" in result.out
+    assert "closed" in result.out
 
 
 @pytest.mark.parametrize("has_basic", [True, False])
@@ -176,7 +176,7 @@ def test_basic_objects_that_a_device_leaves_out_at_other_levels_are_asked_for(ha
         return [mbap(request, bytes([43, 14, level, 0x02, 0, 0, len(objects)]) + listed)]
 
     with FakeServer(answer) as server:
-        done = run("identify", f"127.0.0.1:{server.port}")
-    assert (done.code, done.err) == (0, "")
+        result = run("identify", f"127.0.0.1:{server.port}")
+    assert (result.code, result.err) == (0, "")
     names = ["VendorName", "ProductCode", "MajorMinorRevision"] * has_basic + ["VendorUrl"]
-    assert [line.split()[0] for line in done.out.splitlines()[: len(names)]] == names
+    assert [line.split()[0] for line in result.out.splitlines()[: len(names)]] == names

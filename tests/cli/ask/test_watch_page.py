@@ -38,62 +38,62 @@ GOOD = ReadResult(ITEM, [ValueText("    7", "5", "5")], {})
 
 
 def test_what_fails_is_a_gap_with_its_reason() -> None:
-    shown = ShownWatch("meter", 1.0)
-    assert shown.status() == ("no answer yet", True)
-    shown.print(3, [], "no answer")
-    assert cells(shown) == [[["unit 3"], "down", "no answer"]]
+    watch = ShownWatch("meter", 1.0)
+    assert watch.status() == ("no answer yet", True)
+    watch.print(3, [], "no answer")
+    assert cells(watch) == [[["unit 3"], "down", "no answer"]]
     for unit in (1, 2):
-        shown.print(unit, [GOOD], "")
-    assert shown.status() == ("no answer from unit 3", True)
-    shown.print(2, [], "no answer")
-    shown.print(1, [GOOD._replace(rows=[], failure="illegal data address")], "")
-    assert cells(shown) == [
+        watch.print(unit, [GOOD], "")
+    assert watch.status() == ("no answer from unit 3", True)
+    watch.print(2, [], "no answer")
+    watch.print(1, [GOOD._replace(rows=[], failure="illegal data address")], "")
+    assert cells(watch) == [
         [["unit 1"], "up", ""],
         [["unit 1", "holding 7"], "bad", "illegal data address"],
         [["unit 2"], "down", "no answer"],
         [["unit 2", "holding 7"], "down", ""],
     ]
-    assert [row.is_problem for row in shown.rows()] == [False, True, True, False]
+    assert [row.is_problem for row in watch.rows()] == [False, True, True, False]
     bad = "values that are not good: 1 (unit 1 holding 7)"
-    assert shown.status() == (f"no answer from unit 3, unit 2; {bad}", True)
-    assert shown.figures() == {"polls": 5, "failed": 3}
-    shown.print(1, [GOOD], "")
-    assert shown.status() == ("no answer from unit 3, unit 2", True)
-    assert [row.cells()["value"]["text"] for row in shown.rows()] == ["", "5", "", "-"]
+    assert watch.status() == (f"no answer from unit 3, unit 2; {bad}", True)
+    assert watch.figures() == {"polls": 5, "failed": 3}
+    watch.print(1, [GOOD], "")
+    assert watch.status() == ("no answer from unit 3, unit 2", True)
+    assert [row.cells()["value"]["text"] for row in watch.rows()] == ["", "5", "", "-"]
     for unit in (2, 3):
-        shown.print(unit, [GOOD], "")
-    assert shown.status() == ("the device answers", False)
+        watch.print(unit, [GOOD], "")
+    assert watch.status() == ("the device answers", False)
 
 
 def test_an_item_that_was_refused_from_the_start_has_a_row_with_the_reason() -> None:
-    shown = ShownWatch("meter", 1.0)
+    watch = ShownWatch("meter", 1.0)
     refused = ReadResult(Item("holding_registers", 100, 1, word="hr"), [], {}, "illegal address")
-    shown.print(1, [GOOD, refused], "")
-    assert cells(shown)[1:] == [
+    watch.print(1, [GOOD, refused], "")
+    assert cells(watch)[1:] == [
         [["unit 1", "holding 7"], "good", ""],
         [["unit 1", "hr 100"], "bad", "illegal address"],
     ]
-    shown.print(1, [GOOD, refused._replace(rows=[ValueText("  100", "9", "9")], failure="")], "")
-    assert cells(shown)[2] == [["unit 1", "hr 100"], "good", ""]
+    watch.print(1, [GOOD, refused._replace(rows=[ValueText("  100", "9", "9")], failure="")], "")
+    assert cells(watch)[2] == [["unit 1", "hr 100"], "good", ""]
 
 
-def cells(shown: ShownWatch) -> list[list[Any]]:
+def cells(watch: ShownWatch) -> list[list[Any]]:
     """Return the name, state and reason of each row."""
-    return [[name_of(row.cells()), *state_of(row.cells())[:2]] for row in shown.rows()]
+    return [[name_of(row.cells()), *state_of(row.cells())[:2]] for row in watch.rows()]
 
 
 def test_a_total_that_fell_has_a_mark_for_one_poll() -> None:
-    shown = ShownWatch("meter", 1.0)
-    found = []
+    watch = ShownWatch("meter", 1.0)
+    marks = []
     for result in (GOOD, GOOD._replace(has_fallen=True), GOOD):
-        shown.print(1, [result], "")
-        found.append(state_of(shown.rows()[1].cells()))
-    assert found == [["good", "", 0], ["good", "fell", 0], ["good", "", 0]]
+        watch.print(1, [result], "")
+        marks.append(state_of(watch.rows()[1].cells()))
+    assert marks == [["good", "", 0], ["good", "fell", 0], ["good", "", 0]]
 
 
 def test_a_queue_may_become_empty_and_long() -> None:
-    shown = ShownWatch("meter", 1.0)
+    watch = ShownWatch("meter", 1.0)
     for texts in (["5", "6"], [], ["7"], ["8", "9", "10"]):
         rows = [ValueText(f"{at}", text, text) for at, text in enumerate(texts)]
-        shown.print(1, [GOOD._replace(rows=rows)], "")
-        assert [row.cells()["value"]["text"] for row in shown.rows()[1:]] == (texts or ["5", "6"])
+        watch.print(1, [GOOD._replace(rows=rows)], "")
+        assert [row.cells()["value"]["text"] for row in watch.rows()[1:]] == (texts or ["5", "6"])

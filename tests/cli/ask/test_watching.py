@@ -30,7 +30,7 @@ def running(mapping: Mapping) -> Iterator[Running]:
         yield running
 
 
-def interrupted(process: Started) -> str:
+def stop(process: Started) -> str:
     """Press Ctrl-C, and return what was printed to the standard error."""
     process.send_signal(signal.SIGINT)
     _, err = process.communicate()
@@ -44,7 +44,7 @@ def test_a_pipe_gets_a_line_for_each_poll_at_once(running: Running, mapping: Map
         mapping.holding_registers[1] = 7
         while not process.stdout.readline().endswith("  0 7\n"):
             pass
-        assert interrupted(process) == ""
+        assert stop(process) == ""
 
 
 def test_a_server_that_goes_and_comes_back_is_shown(mapping: Mapping) -> None:
@@ -59,26 +59,26 @@ def test_a_server_that_goes_and_comes_back_is_shown(mapping: Mapping) -> None:
             with Server(Device(mapping)).background(url):
                 while "values" not in json.loads(watching.stdout.readline()):
                     pass
-                interrupted(watching)
+                stop(watching)
 
 
-def test_the_pace_is_kept(running: Running) -> None:
+def test_a_watch_polls_at_its_interval(running: Running) -> None:
     arguments = ["read", running.urls[0], "holding", "0", "--json", "--watch", "0.15"]
     with Started(*arguments) as process:
         times = [
             datetime.fromisoformat(json.loads(process.stdout.readline())["time"]) for _ in range(4)
         ]
         assert (times[3] - times[0]).total_seconds() > 0.25
-        interrupted(process)
+        stop(process)
 
 
 def test_who_answers_nothing_is_not_asked_for_the_rest() -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         url = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
-        done = run("read", url, "holding", "0", "60000", "coils", "0", "--timeout", "0.1", "-v")
-    assert (done.code, done.out) == (1, "")
-    assert done.err.count(" > ") == 1
-    assert "no answer" in done.err
+        result = run("read", url, "holding", "0", "60000", "coils", "0", "--timeout", "0.1", "-v")
+    assert (result.code, result.out) == (1, "")
+    assert result.err.count(" > ") == 1
+    assert "no answer" in result.err
 
 
 @each_case(
@@ -89,10 +89,10 @@ def test_who_answers_nothing_is_not_asked_for_the_rest() -> None:
         (["--for", "0.01"], 1),
     ],
 )
-def test_a_watch_ends(running: Running, end: list[str], polls: int) -> None:
-    done = run("read", running.urls[0], "hr", 0, *end)
-    assert (done.code, done.err) == (0, "")
-    assert done.out.count("\n") == polls
+def test_a_watch_ends_after_its_polls(running: Running, end: list[str], polls: int) -> None:
+    result = run("read", running.urls[0], "hr", 0, *end)
+    assert (result.code, result.err) == (0, "")
+    assert result.out.count("\n") == polls
 
 
 FLOODS = {
@@ -106,10 +106,10 @@ FLOODS = {
 @pytest.mark.parametrize("data", FLOODS.values(), ids=FLOODS)
 def test_hostile_servers_are_one_line_for_each_poll(data: bytes) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        done = threading.Event()
+        end = threading.Event()
 
         def serve() -> None:
-            while not done.is_set():
+            while not end.is_set():
                 try:
                     link, _ = listening.accept()
                 except OSError:
@@ -117,7 +117,7 @@ def test_hostile_servers_are_one_line_for_each_poll(data: bytes) -> None:
                 with link:
                     link.settimeout(0.2)
                     try:
-                        while not done.wait(0.02) and data:
+                        while not end.wait(0.02) and data:
                             link.sendall(data)
                     except OSError:
                         pass
@@ -130,9 +130,9 @@ def test_hostile_servers_are_one_line_for_each_poll(data: bytes) -> None:
             with Started("read", url, *arguments) as process:
                 for _ in range(3):
                     assert "error" in json.loads(process.stdout.readline())
-                assert interrupted(process) == ""
+                assert stop(process) == ""
         finally:
-            done.set()
+            end.set()
             listening.shutdown(socket.SHUT_RDWR)
             thread.join()
 
@@ -142,17 +142,17 @@ def test_each_unit_has_its_lines_in_the_table(mapping: Mapping) -> None:
     with Server(devices).background("tcp://127.0.0.1:0") as running:
         end = ["--watch", "0.01", "--count", "3"]
         with on_terminal("read", running.urls[0], "-u", "1,17", "hr", "0", *end) as terminal:
-            terminal.until(lambda shown: "3 polls" in shown and shown.count("unit 17\r\n") >= 3)
+            terminal.until(lambda text: "3 polls" in text and text.count("unit 17\r\n") >= 3)
             assert terminal.process.wait() == 0
 
 
 def test_a_terminal_has_a_table_that_is_drawn_in_place(running: Running, mapping: Mapping) -> None:
     with on_terminal("read", running.urls[0], "holding", "0", "3", *WATCH) as terminal:
-        terminal.until(lambda shown: shown.count("\x1b[4A\r\x1b[J") >= 2)
+        terminal.until(lambda text: text.count("\x1b[4A\r\x1b[J") >= 2)
         assert "\x1b[1m" not in terminal.output
         mapping.holding_registers[1] = 7
-        terminal.until(lambda shown: "\x1b[1m*     1  7\x1b[0m" in shown)
-        terminal.until(lambda shown: shown.count("      1  7") >= 1)  # and then it is old
+        terminal.until(lambda text: "\x1b[1m*     1  7\x1b[0m" in text)
+        terminal.until(lambda text: text.count("      1  7") >= 1)  # and then it is old
         terminal.process.send_signal(signal.SIGINT)
         assert terminal.process.wait() == 130
         assert terminal.output.rstrip().endswith("0")
@@ -162,12 +162,12 @@ def test_a_terminal_has_a_table_that_is_drawn_in_place(running: Running, mapping
 @pytest.mark.parametrize(
     ("environment", "in_place"), [({"NO_COLOR": "1"}, True), ({"TERM": "dumb"}, False)]
 )
-def test_terminals_that_want_less(running: Running, mapping: Mapping, environment, in_place):
+def test_plain_terminals_get_plain_lines(running: Running, mapping: Mapping, environment, in_place):
     arguments = ["read", running.urls[0], "holding", "0", *WATCH]
     with on_terminal(*arguments, environment=environment) as terminal:
-        terminal.until(lambda shown: shown.count("\n") >= 4)
+        terminal.until(lambda text: text.count("\n") >= 4)
         mapping.holding_registers[0] = 7
-        terminal.until(lambda shown: "  7" in shown)
+        terminal.until(lambda text: "  7" in text)
         assert ("\x1b[2A" in terminal.output) == in_place
         assert "\x1b[1m" not in terminal.output
         assert ("*     0  7" in terminal.output) == in_place
@@ -176,14 +176,14 @@ def test_terminals_that_want_less(running: Running, mapping: Mapping, environmen
 def test_narrow_and_low_terminals_get_what_fits(running: Running) -> None:
     arguments = ["read", running.urls[0], "holding", "0", "100", *WATCH]
     with on_terminal(*arguments, columns=20) as terminal:
-        terminal.until(lambda shown: "... 79 more" in shown)
+        terminal.until(lambda text: "... 79 more" in text)
         for line in re.sub(r"\x1b\[\d*[A-Za-z]", "", terminal.output).splitlines():
             assert len(line) < 20
         terminal.resize(40, rows=5)
-        terminal.until(lambda shown: "... 98 more" in shown)
+        terminal.until(lambda text: "... 98 more" in text)
         terminal.resize(1, rows=1)
-        seen = len(terminal.output)
-        terminal.until(lambda shown: len(shown) > seen + 20)
+        length = len(terminal.output)
+        terminal.until(lambda text: len(text) > length + 20)
         assert terminal.process.poll() is None
 
 
@@ -191,9 +191,9 @@ def test_failures_stand_in_place_of_values(mapping: Mapping) -> None:
     with ExitStack() as stack:
         running = stack.enter_context(Server(Device(mapping)).background("tcp://127.0.0.1:0"))
         with on_terminal("read", running.urls[0], "holding", "0", *WATCH) as terminal:
-            terminal.until(lambda shown: "      0  0" in shown)
+            terminal.until(lambda text: "      0  0" in text)
             stack.close()
-            terminal.until(lambda shown: "refused" in shown and "1 failed" in shown)
+            terminal.until(lambda text: "refused" in text and "1 failed" in text)
 
 
 def test_long_reads_show_how_far_they_are() -> None:
@@ -202,8 +202,6 @@ def test_long_reads_show_how_far_they_are() -> None:
     with Server(Device(wide)).background("tcp://127.0.0.1:0") as running:
         url = f"{running.urls[0]}{url_options}"
         with on_terminal("read", url, "holding", "0", "9000", "--csv") as terminal:
-            terminal.until(
-                lambda shown: re.search(r"\r\d+ of 72 requests\x1b\[K", shown) is not None
-            )
+            terminal.until(lambda text: re.search(r"\r\d+ of 72 requests\x1b\[K", text) is not None)
             terminal.until(lambda _: terminal.process.poll() is not None)
             assert terminal.process.returncode == 0

@@ -41,22 +41,22 @@ def frames(err: str) -> list[str]:
         ("hr 3-4 5 6", ["10 00 03 00 02 04 00 05 00 06"]),
     ],
 )  # fmt: skip
-def test_writes_are_these_bytes(url: str, words: str, pdus: list[str]) -> None:
-    done = run("write", url, *words.split(), "-v")
-    assert done.code == 0, done.err
-    assert frames(done.err) == pdus
+def test_values_are_written_in_the_right_bytes(url: str, words: str, pdus: list[str]) -> None:
+    result = run("write", url, *words.split(), "-v")
+    assert result.code == 0, result.err
+    assert frames(result.err) == pdus
     dry = run("write", url, *words.split(), "--dry-run")
-    shown = [line.split("  ")[0][2 + 21 :] for line in dry.out.splitlines()]
-    assert shown == pdus
+    requests = [line.split("  ")[0][2 + 21 :] for line in dry.out.splitlines()]
+    assert requests == pdus
 
 
 def test_names_are_written_scaled_and_checked(url: str, meter: str, mapping: Mapping) -> None:
-    done = run("write", url, "--map", meter, "setpoint", "21.5", "pump", "on", "label", "xyz")
-    assert (done.code, done.out, done.err) == (0, "", "")
+    result = run("write", url, "--map", meter, "setpoint", "21.5", "pump", "on", "label", "xyz")
+    assert (result.code, result.out, result.err) == (0, "", "")
     assert mapping.holding_registers[30] == 215
     assert mapping.coils[3] == 1
     assert run("read", url, "--map", meter, "setpoint").out == "setpoint  21.5 C\n"
-    for words, named in (
+    for words, message in (
         ("setpoint 99", "setpoint: value must be in 0..90, not 99"),
         ("setpoint warm", "setpoint: "),
         ("voltage 3", "voltage cannot be written"),
@@ -66,10 +66,10 @@ def test_names_are_written_scaled_and_checked(url: str, meter: str, mapping: Map
         ("setpoint 1 2", "setpoint needs 1 value after its name, not 2"),
         ("setpoint 1 --mask 1 2", "not a name"),
     ):
-        done = run("write", url, "--map", meter, *words.split())
-        assert (done.code, done.out) == (2, ""), words
-        assert named in done.err
-        assert done.err.count("\n") == 1
+        result = run("write", url, "--map", meter, *words.split())
+        assert (result.code, result.out) == (2, ""), words
+        assert message in result.err
+        assert result.err.count("\n") == 1
     assert mapping.holding_registers[30] == 215
 
 
@@ -93,9 +93,9 @@ def test_a_terminal_says_what_was_written(url: str, meter: str, words: str, line
 
 def test_names_and_places_are_written_as_typed(url: str, meter: str) -> None:
     words = "setpoint 1 holding 0 7 pump on setpoint 2"
-    done = run("write", url, "--map", meter, *words.split(), "-v")
-    assert done.code == 0, done.err
-    assert frames(done.err) == [
+    result = run("write", url, "--map", meter, *words.split(), "-v")
+    assert result.code == 0, result.err
+    assert frames(result.err) == [
         "06 00 1e 00 0a",
         "06 00 00 00 07",
         "05 00 03 ff 00",
@@ -136,12 +136,12 @@ def test_every_kind_of_value_can_be_typed(tmp_path: Path) -> None:
     with Server(device).background("tcp://127.0.0.1:0") as serving:
         for check, (name, text, value) in each(TYPED):
             before = device[name]
-            done = run("write", serving.urls[0], "--map", str(path), name, text)
+            result = run("write", serving.urls[0], "--map", str(path), name, text)
             refused = str(value) if isinstance(value, ValueError) else None
             with check:
-                assert (done.code == 0) is (refused is None), done.err
+                assert (result.code == 0) is (refused is None), result.err
                 assert device[name] == (before if refused else value)
-                assert (refused or "") in done.err
+                assert (refused or "") in result.err
 
 
 class Stubborn:
@@ -172,19 +172,19 @@ class Stubborn:
         ("hr 6 8 --count-from-1", ["hr 6: wrote 8, reads 7"]),
     ],
 )
-def test_what_differs_is_named(words: str, lines: list[str]) -> None:
+def test_verify_names_what_differs(words: str, lines: list[str]) -> None:
     with FakeServer(Stubborn()) as server:
-        done = run("write", f"127.0.0.1:{server.port}", *words.split(), "--verify")
-    assert done.code == (1 if lines else 0)
-    assert done.err.splitlines() == [f"libmodbus-py: {line}" for line in lines]
+        result = run("write", f"127.0.0.1:{server.port}", *words.split(), "--verify")
+    assert result.code == (1 if lines else 0)
+    assert result.err.splitlines() == [f"libmodbus-py: {line}" for line in lines]
 
 
 def test_a_cell_that_cannot_be_read_fails() -> None:
     device = Device(Mapping(holding_registers=9), before_read=refusing)
     with Server(device).background("tcp://127.0.0.1:0") as running:
-        done = run("write", running.urls[0], "hr", 0, 1, "--verify")
-    assert done.code == 1
-    assert "ReadHoldingRegisters(address=0, count=1): illegal" in done.err
+        result = run("write", running.urls[0], "hr", 0, 1, "--verify")
+    assert result.code == 1
+    assert "ReadHoldingRegisters(address=0, count=1): illegal" in result.err
 
 
 def refusing(access: Access) -> None:
@@ -193,7 +193,7 @@ def refusing(access: Access) -> None:
 
 def test_a_device_that_lacks_a_function_is_told_how_to_be_written() -> None:
     with FakeServer(lambda request: [mbap(request, bytes([request[7] | 0x80, 1]))]) as device:
-        done = run("write", device.url, "holding", "1", "3")
-        assert "illegal function (exception 1); --multiple writes with function 16" in done.err
-        done = run("write", device.url, "coils", "1", "on", "off")
-        assert "--write-function single writes with function 5" in done.err
+        result = run("write", device.url, "holding", "1", "3")
+        assert "illegal function (exception 1); --multiple writes with function 16" in result.err
+        result = run("write", device.url, "coils", "1", "on", "off")
+        assert "--write-function single writes with function 5" in result.err

@@ -14,14 +14,14 @@ import pytest
 from libmodbus_py import Client, Device, IllegalDataAddress, Mapping, ModbusTimeoutError, Server
 from libmodbus_py.tools.listener.listener import Listener
 from libmodbus_py.tools.listener.transaction import Transaction
-from tests.support.commands import Done, Started, on_terminal, run
+from tests.support.commands import Result, Started, on_terminal, run
 from tests.support.golden import Golden
 from tests.support.peers import until
 
 DECODED = Path(__file__).parents[2] / "tools" / "listener" / "decoded.pcapng"
 
 
-def listen(*arguments: object) -> Done:
+def listen(*arguments: object) -> Result:
     return run("listen", *arguments)
 
 
@@ -29,8 +29,8 @@ def listening(*arguments: object) -> Started:
     return Started("listen", *arguments)
 
 
-def url_of(made: Started) -> str:
-    line = made.stderr.readline()
+def url_of(process: Started) -> str:
+    line = process.stderr.readline()
     assert line.startswith("listening on "), line
     return line.removeprefix("listening on ").rstrip("\n")
 
@@ -56,21 +56,21 @@ def ask(url: str) -> None:
             client.for_unit(2, timeout=0.02).write_register(0, 1)
 
 
-def lines_of(made: Started, count: int) -> list[str]:
-    return [made.stdout.readline().rstrip("\n") for _ in range(count)]
+def lines_of(process: Started, count: int) -> list[str]:
+    return [process.stdout.readline().rstrip("\n") for _ in range(count)]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_line_for_each_a_summary_and_a_capture(target: str, number: int, tmp_path: Path) -> None:
     file = tmp_path / "x.pcapng"
-    with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--capture", file) as made:
-        ask(url_of(made))
-        read, refused, written = lines_of(made, 3)
+    with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--capture", file) as process:
+        ask(url_of(process))
+        read, refused, write = lines_of(process, 3)
         # What had no answer prints no line; it is heard when it is in the file.
         until(lambda: NOT_ANSWERED in file.read_bytes())
-        made.send_signal(number)
-        rest, errors = made.communicate()
-    assert made.returncode == 0
+        process.send_signal(number)
+        rest, errors = process.communicate()
+    assert process.returncode == 0
     assert errors == ""
     assert re.fullmatch(
         r"\d\d:\d\d:\d\d\.\d{3}   1 +\d+\.\d ms  "
@@ -78,18 +78,18 @@ def test_a_line_for_each_a_summary_and_a_capture(target: str, number: int, tmp_p
         read,
     )
     assert refused.endswith("-> illegal data address (exception 2)")
-    assert written.endswith("WriteRegister(address=0, value=1) -> done")
-    lost, counts, *_ = rest.splitlines()  # what was open at the end is told, too
-    assert lost.endswith("WriteRegister(address=0, value=1) -> no answer")
+    assert write.endswith("WriteRegister(address=0, value=1) -> done")
+    loss, counts, *_ = rest.splitlines()  # what was open at the end is told, too
+    assert loss.endswith("WriteRegister(address=0, value=1) -> no answer")
     assert counts == "4 transactions, 0 runs of damaged bytes"
     assert "\nunit 1: 3 transactions" in rest
     assert "  functions     3 (2), 6 (1)" in rest
     assert "  errors        1 exception 2" in rest
     assert "unit 2: 1 transactions" in rest
-    assert "\x1b" not in read + refused + written + rest
-    *found, end = map(json.loads, listen(file, "--json").out.splitlines())
-    assert [each["kind"] for each in found] == ["answered", "exception", "answered", "unanswered"]
-    assert (found[0]["response"], found[3]["response"]) == ([7, 8, 9], None)
+    assert "\x1b" not in read + refused + write + rest
+    *rows, end = map(json.loads, listen(file, "--json").out.splitlines())
+    assert [each["kind"] for each in rows] == ["answered", "exception", "answered", "unanswered"]
+    assert (rows[0]["response"], rows[3]["response"]) == ([7, 8, 9], None)
     assert end["summary"]["units"]["1"]["functions"] == {"3": 2, "6": 1}
 
 
@@ -100,31 +100,31 @@ def test_a_signal_right_behind_the_first_line_ends_it_well(target: str, monkeypa
             signal.raise_signal(signal.SIGTERM)
 
     monkeypatch.setattr("libmodbus_py.cli.find.listen.print", print_and_interrupt, raising=False)
-    done = listen("rtu+tcp://127.0.0.1:0", "--between", target)
-    assert done.code == 0
-    assert done.out == "0 transactions, 0 runs of damaged bytes\n"
+    result = listen("rtu+tcp://127.0.0.1:0", "--between", target)
+    assert result.code == 0
+    assert result.out == "0 transactions, 0 runs of damaged bytes\n"
 
 
 @pytest.mark.parametrize("handler", [signal.default_int_handler, signal.SIG_IGN])
 def test_a_signal_between_hearing_and_printing_loses_no_line(monkeypatch, handler) -> None:
-    whole, heard = listen(DECODED), Listener.__next__
+    whole, next_transaction = listen(DECODED), Listener.__next__
 
     def hear_and_interrupt(line: Listener) -> Transaction:
-        found = heard(line)
+        transaction = next_transaction(line)
         signal.raise_signal(signal.SIGINT)
-        return found
+        return transaction
 
     monkeypatch.setattr(Listener, "__next__", hear_and_interrupt)
     before = signal.signal(signal.SIGINT, handler)
     try:
-        done = listen(DECODED)
+        result = listen(DECODED)
         assert signal.getsignal(signal.SIGINT) is handler
     finally:
         signal.signal(signal.SIGINT, before)
     if handler is signal.SIG_IGN:  # as in the background of a script
-        assert done == whole
+        assert result == whole
     else:
-        assert done.out.splitlines()[1].startswith("1 transactions, ")
+        assert result.out.splitlines()[1].startswith("1 transactions, ")
 
 
 def test_a_second_signal_ends_it_though_nobody_reads(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -141,17 +141,17 @@ def test_a_capture_is_read_again(golden: Golden, monkeypatch: pytest.MonkeyPatch
     with monkeypatch.context() as patched:
         patched.setenv("TZ", "UTC")
         time.tzset()
-        done = listen(DECODED)
+        result = listen(DECODED)
     time.tzset()
-    assert (done.code, done.err) == (0, "")
-    lines = done.out.splitlines()
+    assert (result.code, result.err) == (0, "")
+    lines = result.out.splitlines()
     assert sum("damaged: " in line for line in lines) == 3
     assert "47 transactions, 3 runs of damaged bytes" in lines
-    golden("decoded.txt", done.out)
-    done = listen(DECODED, "--json")
-    assert (done.code, done.err) == (0, "")
-    assert len([json.loads(line) for line in done.out.splitlines()]) == 47 + 3 + 1
-    golden("decoded.jsonl", done.out)
+    golden("decoded.txt", result.out)
+    result = listen(DECODED, "--json")
+    assert (result.code, result.err) == (0, "")
+    assert len([json.loads(line) for line in result.out.splitlines()]) == 47 + 3 + 1
+    golden("decoded.jsonl", result.out)
 
 
 def test_listen_prints_the_units_that_were_typed() -> None:
@@ -169,30 +169,30 @@ def test_listen_prints_the_units_that_were_typed() -> None:
 def test_a_capture_on_a_full_disk_can_be_read(size: int, target: str, tmp_path: Path) -> None:
     """Whichever byte is the last that the disk takes. The command says that all is not there."""
     path = tmp_path / "x.pcapng"
-    with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--capture", path) as made:
-        url = url_of(made)
-        resource.prlimit(made.pid, resource.RLIMIT_FSIZE, (size, size))
+    with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--capture", path) as process:
+        url = url_of(process)
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (size, size))
         with Client(url, unit=1) as client:
             for _ in range(4):
                 assert client.read_holding_registers(0, 1) == [7]
-                assert "-> [7]" in made.stdout.readline()
-        made.send_signal(signal.SIGINT)
-        _, errors = made.communicate()
-    assert made.returncode == 1
+                assert "-> [7]" in process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate()
+    assert process.returncode == 1
     assert errors == f"{path}: File too large; the capture ends here\n"
     assert path.stat().st_size <= size
-    *found, _ = map(json.loads, listen(path, "--json").out.splitlines())
-    assert 0 < len(found) < 4
-    assert found[0]["kind"] == "answered"
+    *transactions, _ = map(json.loads, listen(path, "--json").out.splitlines())
+    assert 0 < len(transactions) < 4
+    assert transactions[0]["kind"] == "answered"
 
 
 @pytest.mark.parametrize(("variables", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False)])
-def test_colour_on_a_terminal(variables: dict[str, str], coloured: bool) -> None:
+def test_variables_forbid_colours(variables: dict[str, str], coloured: bool) -> None:
     with on_terminal("listen", DECODED, environment=variables) as terminal:
-        shown = terminal.read_to_end()
+        text = terminal.read_to_end()
         assert terminal.process.wait() == 0
-    assert ("\x1b[31mdamaged" in shown) == coloured
-    assert ("\x1b[33millegal" in shown) == coloured
+    assert ("\x1b[31mdamaged" in text) == coloured
+    assert ("\x1b[33millegal" in text) == coloured
 
 
 def test_what_devices_say_cannot_move_the_terminal(target: str) -> None:
@@ -200,11 +200,11 @@ def test_what_devices_say_cannot_move_the_terminal(target: str) -> None:
     device = Device(Mapping(1, 1, 1, 1), identification={0: b"\x1b[2J\x07", 1: b"\n", 2: b"\r"})
     with (
         Server({1: device}).background("rtu+tcp://127.0.0.1:0") as running,
-        listening("rtu+tcp://127.0.0.1:0", "--between", running.urls[0]) as made,
+        listening("rtu+tcp://127.0.0.1:0", "--between", running.urls[0]) as process,
     ):
-        with Client(url_of(made), unit=1) as client:
+        with Client(url_of(process), unit=1) as client:
             client.read_device_identification()
-        (line,) = lines_of(made, 1)
+        (line,) = lines_of(process, 1)
     assert "\x1b" not in line
     assert r"\x1b[2J\x07" in line
 
@@ -228,19 +228,19 @@ def test_values_have_names_as_read_prints_them(target: str, points: Path, tmp_pa
     file = tmp_path / "x.pcapng"
     with listening(
         "rtu+tcp://127.0.0.1:0", "--between", target, "--map", points, "--capture", file
-    ) as made:
-        url = url_of(made)
+    ) as process:
+        url = url_of(process)
         read = run("read", url, "-u", 1, "--map", points).out.splitlines()
-        heard = lines_of(made, 3)
+        lines = lines_of(process, 3)
         assert run("write", url, "-u", 1, "--map", points, "speed", 5).code == 0
-        (written,) = lines_of(made, 1)
-        made.send_signal(signal.SIGINT)
-        rest, _ = made.communicate()
-    assert [" ".join(line.split()[1:]) for line in heard] == [
+        (write,) = lines_of(process, 1)
+        process.send_signal(signal.SIGINT)
+        rest, _ = process.communicate()
+    assert [" ".join(line.split()[1:]) for line in lines] == [
         f"1 {' '.join(x.split())}" for x in read
     ]
-    assert heard[1].endswith("1  limit  - (Missing)")
-    assert written.endswith("1  speed  5 rpm  (written)")
+    assert lines[1].endswith("1  limit  - (Missing)")
+    assert write.endswith("1  speed  5 rpm  (written)")
     assert rest.startswith("2 transactions, ")
     csv = [line.split(",") for line in listen(file, "--map", points, "--csv").out.splitlines()]
     assert [row[1:] for row in csv] == [
@@ -250,25 +250,25 @@ def test_values_have_names_as_read_prints_them(target: str, points: Path, tmp_pa
         ["1", "speed", "9", "rpm", "0", ""],
         ["1", "speed", "5", "rpm", "1", ""],
     ]
-    *found, _ = map(json.loads, listen(file, "--map", points, "--json").out.splitlines())
-    assert [each["value"] for each in found] == [0.7, None, 9, 5]
-    assert [each["written"] for each in found] == [False, False, False, True]
+    *transactions, _ = map(json.loads, listen(file, "--map", points, "--json").out.splitlines())
+    assert [each["value"] for each in transactions] == [0.7, None, 9, 5]
+    assert [each["written"] for each in transactions] == [False, False, False, True]
     values = json.loads(run("read", target, "-u", 1, "--map", points, "--json").out)
-    assert found[1]["no_value"] == values["no_value"]["limit"]
+    assert transactions[1]["no_value"] == values["no_value"]["limit"]
     assert listen(file, "--map", points, "--csv", "-u", 2).out.count("\n") == 1
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_what_a_master_asks_becomes_a_map(target: str, number: int, tmp_path: Path) -> None:
     path = tmp_path / "asked.csv"
-    with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--learn", path) as made:
-        with Client(url_of(made), unit=1) as client:
+    with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--learn", path) as process:
+        with Client(url_of(process), unit=1) as client:
             client.read_holding_registers(1, 2)
             client.write_register(0, 3)
-        lines_of(made, 2)
+        lines_of(process, 2)
         assert not path.exists()
-        made.send_signal(number)
-        _, errors = made.communicate()
+        process.send_signal(number)
+        _, errors = process.communicate()
     assert errors == f"{path}: 3 points; fill in names, types and units\n"
     assert path.read_text().splitlines()[1:] == [
         "name,table,address,type,access,description,group",
@@ -281,15 +281,15 @@ def test_what_a_master_asks_becomes_a_map(target: str, number: int, tmp_path: Pa
 
 
 def test_options_of_names_that_cannot_be(tmp_path: Path) -> None:
-    taken = tmp_path / "asked.csv"
-    taken.write_text("mine")
+    existing = tmp_path / "asked.csv"
+    existing.write_text("mine")
     for arguments, message in (
-        (["--learn", taken], f"{taken} exists, and would be overwritten"),
+        (["--learn", existing], f"{existing} exists, and would be overwritten"),
         (["--learn", tmp_path / "x.txt"], "it must end with .toml or .csv"),
         (["--csv"], "--csv needs --map"),
         (["--column", "name=x"], "--column, --from and --list need --map"),
     ):
-        done = listen(DECODED, *arguments)
-        assert (done.code, done.out) == (2, "")
-        assert message in done.err
-    assert taken.read_text() == "mine"
+        result = listen(DECODED, *arguments)
+        assert (result.code, result.out) == (2, "")
+        assert message in result.err
+    assert existing.read_text() == "mine"

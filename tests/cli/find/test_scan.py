@@ -30,45 +30,45 @@ def url() -> Iterator[str]:
 
 
 def test_who_answers_is_printed_and_the_rest_goes_elsewhere(url: str) -> None:
-    done = run("scan", url)
-    assert done.code == 0
-    first, second = done.out.splitlines()
+    result = run("scan", url)
+    assert result.code == 0
+    first, second = result.out.splitlines()
     assert first.startswith("unit 3: ")
     assert "ACME" in first
     assert second.startswith("unit 7: ")
     assert ", exception 2" in second
-    assert "\x1b" not in done.out + done.err  # whatever a device says
-    estimate, note, tried = done.err.splitlines()
+    assert "\x1b" not in result.out + result.err  # whatever a device says
+    estimate, note, summary = result.err.splitlines()
     assert estimate.startswith("248 units, ")
-    assert tried == f"tried units 1-247,255 at {url}: 2 units found"
+    assert summary == f"tried units 1-247,255 at {url}: 2 units found"
     assert "4 min 9 s at most" in estimate
     assert "a gateway reports 246 units" in note
 
 
-def test_json_is_one_line(url: str) -> None:
-    done = run("scan", url, "--units", "1,3-4", "--json", "--deep")
-    assert done.out.count("\n") == 1
-    told = json.loads(done.out)
-    assert told["stopped"] is False
-    assert len(told["notes"]) == 1
-    (found,) = told["found"]
-    assert (found["unit"], found["exception"], found["baudrate"]) == (3, None, None)
-    assert found["identification"]["VendorName"] == "ACME"
-    assert found["tables"]["holding_registers"]["ranges"] == [
+def test_a_scan_prints_json_in_one_line(url: str) -> None:
+    result = run("scan", url, "--units", "1,3-4", "--json", "--deep")
+    assert result.out.count("\n") == 1
+    report = json.loads(result.out)
+    assert report["stopped"] is False
+    assert len(report["notes"]) == 1
+    (device,) = report["found"]
+    assert (device["unit"], device["exception"], device["baudrate"]) == (3, None, None)
+    assert device["identification"]["VendorName"] == "ACME"
+    assert device["tables"]["holding_registers"]["ranges"] == [
         {"address": 0, "count": 4},
         {"address": 6, "count": 2},
     ]
-    assert sum(each["requests"] for each in found["tables"].values()) <= 2000
+    assert sum(each["requests"] for each in device["tables"].values()) <= 2000
 
 
 def test_what_deep_prints_is_a_device_file(url: str, tmp_path: Path) -> None:
-    done = run("scan", url, "--units", "3,7", "--deep")
-    assert done.code == 0
-    assert "up to 2000 requests to each unit found" in done.err
-    assert [unit["id"] for unit in tomllib.loads(done.out)["unit"]] == [3, 7]
-    assert "# coils: ended by the bound on requests, ranges of up to" in done.out
+    result = run("scan", url, "--units", "3,7", "--deep")
+    assert result.code == 0
+    assert "up to 2000 requests to each unit found" in result.err
+    assert [unit["id"] for unit in tomllib.loads(result.out)["unit"]] == [3, 7]
+    assert "# coils: ended by the bound on requests, ranges of up to" in result.out
     path = tmp_path / "found.toml"
-    path.write_text(done.out)
+    path.write_text(result.out)
     devices = device_file.load(path).devices
     assert isinstance(devices, dict)
     assert devices[3].mapping.holding_registers[6:8] == [0, 0]
@@ -82,9 +82,9 @@ def test_a_copy_of_a_device_has_its_values(tmp_path: Path) -> None:
         input_registers={100: [*range(1, 201)]},
     )
     with Server({3: Device(there)}).background("tcp://127.0.0.1:0") as running:
-        done = run("scan", running.urls[0], "-u", 3, "--deep", "--values")
-        told = json.loads(run("scan", running.urls[0], "-u", 3, "--deep", "--values", "--json").out)
-    (tmp_path / "copy.toml").write_text(done.out)
+        result = run("scan", running.urls[0], "-u", 3, "--deep", "--values")
+        data = json.loads(run("scan", running.urls[0], "-u", 3, "--deep", "--values", "--json").out)
+    (tmp_path / "copy.toml").write_text(result.out)
     devices = device_file.load(tmp_path / "copy.toml").devices
     assert isinstance(devices, dict)
     copy = devices[3].mapping
@@ -93,28 +93,28 @@ def test_a_copy_of_a_device_has_its_values(tmp_path: Path) -> None:
     assert copy.holding_registers[0:3] == [7, 0, 65535]
     assert copy.holding_registers[200:201] == [555]
     assert copy.input_registers[100:300] == [*range(1, 201)]
-    assert told["found"][0]["tables"]["coils"]["ranges"] == [
+    assert data["found"][0]["tables"]["coils"]["ranges"] == [
         {"address": 1, "count": 3, "values": [1, 0, 1]}
     ]
 
 
 def test_values_without_deep_are_refused() -> None:
-    done = run("scan", "tcp://127.0.0.1:1", "--values")
-    assert (done.code, done.out) == (2, "")
-    assert "--values needs --deep" in done.err
+    result = run("scan", "tcp://127.0.0.1:1", "--values")
+    assert (result.code, result.out) == (2, "")
+    assert "--values needs --deep" in result.err
 
 
 def test_the_end_says_what_was_tried_on_a_line() -> None:
     with simulated() as network:
         SimulatedBus(network, {})
-        done = run("scan", "/dev/line", "--timeout", "20ms")
+        result = run("scan", "/dev/line", "--timeout", "20ms")
         short = run("scan", "/dev/line", "-b", "9600,300", "-p", "even,none", "-u", "1-3,9")
-    assert (done.code, done.out) == (1, "")
-    estimate, tried = done.err.splitlines()
+    assert (result.code, result.out) == (1, "")
+    estimate, summary = result.err.splitlines()
     assert estimate.startswith("247 units at 24 settings, ")
-    assert tried.startswith("tried units 1-247 at 9600 8E1, 9600 8N1 or 8N2, 19200 8E1, ")
-    assert tried.endswith(": no unit found")
-    assert tried.count(" 8E1") == tried.count(" 8N1 or 8N2") == tried.count(" 8O1") == 8
+    assert summary.startswith("tried units 1-247 at 9600 8E1, 9600 8N1 or 8N2, 19200 8E1, ")
+    assert summary.endswith(": no unit found")
+    assert summary.count(" 8E1") == summary.count(" 8N1 or 8N2") == summary.count(" 8O1") == 8
     assert short.err.splitlines()[-1] == (
         "tried units 1-3,9 at 9600 8E1, 9600 8N1 or 8N2, 300 8E1, 300 8N1 or 8N2: no unit found"
     )
@@ -123,17 +123,17 @@ def test_the_end_says_what_was_tried_on_a_line() -> None:
 def test_a_stopped_scan_says_only_what_was_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     with simulated() as network:
         bus = SimulatedBus(network, {2: Member(of(Device(Mapping())), 19200)})
-        heard = bus.hear
+        hear = bus.hear
 
         def stop(data: bytes) -> None:
             if len(bus.asked) >= 20:
                 raise KeyboardInterrupt
-            heard(data)
+            hear(data)
 
         monkeypatch.setattr(bus, "hear", stop)
-        done = run("scan", "/dev/line")
-    assert done.code == 130
-    assert done.err.splitlines()[-1] == (
+        result = run("scan", "/dev/line")
+    assert result.code == 130
+    assert result.err.splitlines()[-1] == (
         "tried units 1-3,247 at 9600 8E1, 9600 8N1 or 8N2, 19200 8E1, 19200 8N1 or 8N2;"
         " unit 1 at 9600 8O1: 1 unit found so far"
     )
@@ -141,10 +141,10 @@ def test_a_stopped_scan_says_only_what_was_tried(monkeypatch: pytest.MonkeyPatch
 
 def test_a_line_says_that_nothing_could_be_tried_and_json_is_printed() -> None:
     with refusing() as bound:
-        done = run("scan", url_of(bound), "--json")
-    assert done.code == 1
-    assert done.err.splitlines()[-1].startswith("libmodbus-py: ")
-    assert json.loads(done.out) == {"found": [], "tried": {}, "notes": [], "stopped": True}
+        result = run("scan", url_of(bound), "--json")
+    assert result.code == 1
+    assert result.err.splitlines()[-1].startswith("libmodbus-py: ")
+    assert json.loads(result.out) == {"found": [], "tried": {}, "notes": [], "stopped": True}
 
 
 @pytest.mark.parametrize(
@@ -162,9 +162,9 @@ def test_a_signal_prints_what_was_found_and_restores_the_line(as_json, number, c
         assert process.returncode == code
         assert "Traceback" not in errors
         if as_json:
-            told = json.loads(output)
-            assert told["stopped"] is True
-            assert [each["unit"] for each in told["found"]] == [1]
+            report = json.loads(output)
+            assert report["stopped"] is True
+            assert [each["unit"] for each in report["found"]] == [1]
         else:
             assert output.startswith("unit 1 at 19200 8E1: ")
 
@@ -191,7 +191,7 @@ def test_ctrl_c_in_a_search_prints_what_was_found() -> None:
     assert "# discrete_inputs: ended by the user" in output
 
 
-def test_a_terminal_has_progress() -> None:
+def test_a_scan_shows_its_progress_on_a_terminal() -> None:
     def answer(request: bytes) -> list[bytes]:
         time.sleep(0.05)
         return [mbap(request, b"\x83\x0b")]
@@ -203,9 +203,9 @@ def test_a_terminal_has_progress() -> None:
         on_terminal("scan", server.url, "--units", "1-20", stdout=write) as terminal,
     ):
         os.close(write)
-        shown = terminal.read_to_end()
+        text = terminal.read_to_end()
         output = printed.read()
-    assert "of 20 asked, 0 found" in shown
-    assert "left at most\x1b[K" in shown
-    assert "\r\x1b[K" in shown  # it is gone before anything else is said
+    assert "of 20 asked, 0 found" in text
+    assert "left at most\x1b[K" in text
+    assert "\r\x1b[K" in text  # it is gone before anything else is said
     assert output == b""

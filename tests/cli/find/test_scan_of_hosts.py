@@ -32,14 +32,14 @@ def port() -> Iterator[str]:
         ("10.0.0.0/16", 65534, "10.0.0.1", 502),
     ],
 )
-def test_ranges(text: str, count: int, first: str, port: int) -> None:
-    found = host_range(text)
-    assert found is not None
-    assert (len(found), found[0]) == (count, (first, port))
+def test_a_range_has_its_hosts_and_port(text: str, count: int, first: str, port: int) -> None:
+    hosts = host_range(text)
+    assert hosts is not None
+    assert (len(hosts), hosts[0]) == (count, (first, port))
 
 
 @each_case("text", ["192.0.2.1", "/dev/ttyUSB0", "tcp://192.0.2.1", "plc/24", "rtu:///dev/x", ""])
-def test_what_is_no_range(text: str) -> None:
+def test_other_places_are_no_range(text: str) -> None:
     assert host_range(text) is None
 
 
@@ -47,25 +47,25 @@ def test_a_range_is_asked_for_at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> 
     typed = io.StringIO("n\n")
     typed.isatty = lambda: True  # type: ignore[method-assign]
     monkeypatch.setattr("sys.stdin", typed)
-    done = run("scan", "10.0.0.0/16")
-    assert done == (1, "", "try 65534 hosts? [y/N] ")
+    result = run("scan", "10.0.0.0/16")
+    assert result == (1, "", "try 65534 hosts? [y/N] ")
 
 
 def test_hosts_that_accept_a_connection_are_scanned(port: str) -> None:
-    done = run("scan", f"127.0.0.0/29:{port}", "-u", "3,4")
-    assert done.code == 0
-    assert done.out.startswith(f"tcp://127.0.0.1:{port}: unit 3: ")
-    assert done.out.count("\n") == 1
-    assert done.err.startswith("6 hosts, 1.0 s at most, and more for each host that accepts")
-    found = json.loads(run("scan", f"127.0.0.0/29:{port}", "--json").out)
-    assert [each["unit"] for each in found["found"]] == [3]  # quick: 30 is not asked
-    assert run("read", found["found"][0]["url"], "hr", 0).code == 0
+    result = run("scan", f"127.0.0.0/29:{port}", "-u", "3,4")
+    assert result.code == 0
+    assert result.out.startswith(f"tcp://127.0.0.1:{port}: unit 3: ")
+    assert result.out.count("\n") == 1
+    assert result.err.startswith("6 hosts, 1.0 s at most, and more for each host that accepts")
+    report = json.loads(run("scan", f"127.0.0.0/29:{port}", "--json").out)
+    assert [each["unit"] for each in report["found"]] == [3]  # quick: 30 is not asked
+    assert run("read", report["found"][0]["url"], "hr", 0).code == 0
 
 
-def test_a_range_without_any_server() -> None:
-    done = run("scan", "127.0.0.0/30:1", "--timeout", "50ms")
-    assert done.code == 1
-    assert done.err.endswith(
+def test_a_range_without_a_server_finds_no_unit() -> None:
+    result = run("scan", "127.0.0.0/30:1", "--timeout", "50ms")
+    assert result.code == 1
+    assert result.err.endswith(
         "tried 0 of 2 hosts, those that accepted a connection: no unit found\n"
     )
 
@@ -87,12 +87,12 @@ def test_a_quick_scan_asks_usual_units(port: str) -> None:
 )
 def test_stop_bits_that_were_not_measured_are_not_said(words: list[str], setting: str) -> None:
     with line({1: Device(Mapping(holding_registers=2))}) as wire:
-        done = run("scan", wire.client, "-b", "9600", "-u", "1", *words)
-    assert f"unit 1 at {setting}" in done.out
+        result = run("scan", wire.client, "-b", "9600", "-u", "1", *words)
+    assert f"unit 1 at {setting}" in result.out
 
 
 @each_case(
-    ("words", "tried"),
+    ("words", "summary"),
     [
         (["-b", "9600", "-p", "none", "-u", "1"], "1 unit, "),
         (["-b", "9600,19200", "-p", "none,Even,O", "-u", "1-2"], "2 units at 6 settings, "),
@@ -102,5 +102,5 @@ def test_stop_bits_that_were_not_measured_are_not_said(words: list[str], setting
         (["--quick", "-b", "4800"], "13 units at 2 settings, "),
     ],
 )
-def test_scan_of_a_line_takes_them(words: list[str], tried: str) -> None:
-    assert run("scan", "/dev/no-such", *words).err.startswith(tried)
+def test_scan_of_a_line_takes_them(words: list[str], summary: str) -> None:
+    assert run("scan", "/dev/no-such", *words).err.startswith(summary)

@@ -95,22 +95,22 @@ class Started:
 
 
 @contextlib.contextmanager
-def started(folder: Path, name: str, how: str = "") -> Iterator[Started]:
+def start(folder: Path, name: str, how: str = "") -> Iterator[Started]:
     (folder / "map.csv").write_text("name,table,address\nx,holding_registers,0\n")
     if how == "waiting":
         os.mkfifo(folder / "gate")
     else:
         (folder / "file").write_text(FILES[name])
-    made = Started(folder, name, how)
+    process = Started(folder, name, how)
     try:
         if how != "waiting":
-            until(lambda: catches_hangup(made.process.pid))
-        yield made
+            until(lambda: catches_hangup(process.process.pid))
+        yield process
     finally:
-        made.process.kill()
-        made.process.wait()
+        process.process.kill()
+        process.process.wait()
         with contextlib.suppress(OSError):
-            os.close(made.master)
+            os.close(process.master)
 
 
 def catches_hangup(process: int) -> bool:
@@ -128,7 +128,7 @@ def being_read(folder: Path, text: str) -> Iterator[None]:
 
 @NAMES
 def test_a_terminal_that_closes_ends_it(tmp_path: Path, name: str) -> None:
-    with started(tmp_path, name) as command:
+    with start(tmp_path, name) as command:
         command.hang_up()
         os.close(command.master)
         assert command.process.wait(20) == 0
@@ -136,8 +136,8 @@ def test_a_terminal_that_closes_ends_it(tmp_path: Path, name: str) -> None:
 
 
 @NAMES
-def test_under_nohup_it_goes_on(tmp_path: Path, name: str) -> None:
-    with started(tmp_path, name, "nohup") as command:
+def test_under_nohup_a_hangup_ends_no_command(tmp_path: Path, name: str) -> None:
+    with start(tmp_path, name, "nohup") as command:
         os.close(command.master)
         command.hang_up()
         command.hang_up()
@@ -146,7 +146,7 @@ def test_under_nohup_it_goes_on(tmp_path: Path, name: str) -> None:
 
 @NAMES
 def test_what_it_reads_at_its_start_is_read_again(tmp_path: Path, name: str) -> None:
-    with started(tmp_path, name, "waiting") as command:
+    with start(tmp_path, name, "waiting") as command:
         with being_read(tmp_path, FILES[name]):
             command.process.send_signal(signal.SIGHUP)
         until(lambda: SAID in command.said or command.process.poll() is not None)
@@ -155,7 +155,7 @@ def test_what_it_reads_at_its_start_is_read_again(tmp_path: Path, name: str) -> 
 
 @NAMES
 def test_a_terminal_that_closes_while_it_starts_ends_it(tmp_path: Path, name: str) -> None:
-    with started(tmp_path, name, "waiting") as command:
+    with start(tmp_path, name, "waiting") as command:
         with being_read(tmp_path, FILES[name]):
             os.close(command.master)
         assert command.process.wait(20) == 0
@@ -164,7 +164,7 @@ def test_a_terminal_that_closes_while_it_starts_ends_it(tmp_path: Path, name: st
 
 @NAMES
 def test_a_command_that_cannot_start_says_why(tmp_path: Path, name: str) -> None:
-    with started(tmp_path, name, "waiting") as command:
+    with start(tmp_path, name, "waiting") as command:
         with being_read(tmp_path, "x = 1"):
             command.process.send_signal(signal.SIGHUP)
         assert command.process.wait(20) == 2
@@ -196,13 +196,13 @@ def test_a_gateway_ends_with_the_newest_routes(tmp_path: Path) -> None:
                     for _ in range(2):  # the second perhaps before the first was answered
                         process.send_signal(signal.SIGHUP)
                     assert context.read_coils(0, 1) == [False]
-                said = f"{path}: read again, 1 route: "
-                assert reload_line(process) == f"{said}1 new, 1 removed"
-                assert reload_line(process).startswith(said)
+                prefix = f"{path}: read again, 1 route: "
+                assert reload_line(process) == f"{prefix}1 new, 1 removed"
+                assert reload_line(process).startswith(prefix)
                 write("1-300")
                 process.send_signal(signal.SIGHUP)
                 while not (line := reload_line(process)).startswith("the former"):
-                    assert line.startswith(said)
+                    assert line.startswith(prefix)
                 assert line.endswith(
                     f"{path}, line 4: route[0].units: '1-300' must go up, within 0..255"
                 )
@@ -220,8 +220,8 @@ def test_poll_reads_the_file_again(tmp_path: Path) -> None:
         with Forked("poll", path, *INFO) as process:
 
             def reading() -> dict[str, str]:
-                found: dict[str, str] = json.loads(process.stdout.readline())
-                return found
+                row: dict[str, str] = json.loads(process.stdout.readline())
+                return row
 
             def said_of(content: str) -> str:
                 path.write_text(content)
@@ -237,8 +237,8 @@ def test_poll_reads_the_file_again(tmp_path: Path) -> None:
             assert not (tmp_path / "readings.csv").exists()
             (tmp_path / "fleet.toml").write_text(text.replace('"a"', '"b"'))
             process.send_signal(signal.SIGHUP)
-            said = f"{path}: read again, 1 device: "
-            assert reload_line(process) == f"{said}1 new, 1 removed"
+            prefix = f"{path}: read again, 1 device: "
+            assert reload_line(process) == f"{prefix}1 new, 1 removed"
             while reading()["device"] != "b":
                 pass
             for make in (os.mkfifo, lambda path: path.symlink_to("/dev/zero")):

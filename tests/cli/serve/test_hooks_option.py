@@ -47,6 +47,6 @@ def test_hooks_are_read_again_with_and_without_a_device_file(tmp_path: Path) -> 
 def test_a_mistake_ends_the_command_before_it_serves(tmp_path: Path) -> None:
     hooks = tmp_path / "hooks.py"
     hooks.write_text("\ndef before_writing(access): ...\n")
-    done = run(*SERVE, hooks)
-    assert (done.code, done.out) == (2, "")
-    assert f"{hooks}, line 2: before_writing is no hook; hooks are before_write, " in done.err
+    result = run(*SERVE, hooks)
+    assert (result.code, result.out) == (2, "")
+    assert f"{hooks}, line 2: before_writing is no hook; hooks are before_write, " in result.err

@@ -18,8 +18,8 @@ from libmodbus_py.services.engine.connection import EngineGone
 from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.cli.serving import FLEET_OF_ONE
 from tests.support.cases import each_case
-from tests.support.commands import Started, ended, on_terminal, run
-from tests.support.peers import dead
+from tests.support.commands import Started, on_terminal, run, run_forked
+from tests.support.peers import mute_port
 
 LONGEST = 30
 
@@ -56,19 +56,19 @@ def fleet(tmp_path: Path) -> Iterator[Path]:
         yield tmp_path / "fleet.toml"
 
 
-def started(*arguments: object) -> Started:
+def start(*arguments: object) -> Started:
     return Started("poll", *arguments)
 
 
-def test_once_to_several_outputs(fleet: Path) -> None:
+def test_a_single_poll_goes_to_several_outputs(fleet: Path) -> None:
     a, b, c = (fleet.with_name(name) for name in ("a.csv", "b.csv", "c.jsonl"))
     options = ["--csv", a, "--json", c, "--csv", b, "--json"]  # which may be repeated
-    done = ended("poll", fleet, "--once", *options)
-    told = [json.loads(line) for line in done.out.splitlines()]
-    assert sorted(c.read_text().splitlines()) == sorted(done.out.splitlines())
+    result = run_forked("poll", fleet, "--once", *options)
+    rows = [json.loads(line) for line in result.out.splitlines()]
+    assert sorted(c.read_text().splitlines()) == sorted(result.out.splitlines())
     assert sorted(a.read_text().splitlines()) == sorted(b.read_text().splitlines())
     assert len(a.read_text().splitlines()) == 7
-    assert sorted((each["device"], each["name"], each["value"]) for each in told) == [
+    assert sorted((each["device"], each["name"], each["value"]) for each in rows) == [
         ("gone", "current", None),
         ("gone", "voltage", None),
         ("one", "current", 1.5),
@@ -76,8 +76,8 @@ def test_once_to_several_outputs(fleet: Path) -> None:
         ("two", "current", 1.5),
         ("two", "voltage", 230.5),
     ]
-    assert done.code == 1  # one gave no answer
-    assert done.err == ""
+    assert result.code == 1  # one gave no answer
+    assert result.err == ""
 
 
 def test_check_prints_a_table_and_what_is_too_much(fleet: Path) -> None:
@@ -85,26 +85,26 @@ def test_check_prints_a_table_and_what_is_too_much(fleet: Path) -> None:
         '[[device]]\nname = "slow"\nurl = "rtu:///dev/nowhere?baudrate=1200"\ninterval = 0.05\n'
     )
     fleet.write_text(text)
-    done = run("poll", fleet, "--check")
-    head, *rows = done.out.splitlines()
+    result = run("poll", fleet, "--check")
+    head, *rows = result.out.splitlines()
     assert head.split() == ["device", "url", "unit", "requests", "took", "interval", "result"]
-    found = {row.split()[0]: row for row in rows}
-    assert found.keys() == {"one", "two", "gone", "slow"}
-    assert found["one"].endswith(" ok")
-    assert "Connection refused" in found["gone"]
+    rows_of = {row.split()[0]: row for row in rows}
+    assert rows_of.keys() == {"one", "two", "gone", "slow"}
+    assert rows_of["one"].endswith(" ok")
+    assert "Connection refused" in rows_of["gone"]
     # 8 bytes of request, 9 of answer, twice 3.5 characters of silence; 11 bits each.
-    assert done.err.splitlines() == [
+    assert result.err.splitlines() == [
         "libmodbus-py: line rtu:///dev/nowhere at 1200: 0.22 s of requests each 0.05 s",
         "libmodbus-py: 2 of 4 devices failed, or had bad points",
     ]
-    assert done.code == 1
+    assert result.code == 1
 
 
 def test_all_mistakes_in_devices_are_printed(fleet: Path) -> None:
     fleet.write_text(fleet.read_text() + "unit = 300\n" + '[[device]]\nname = "a"\nurl = "x:"\n')
-    done = run("poll", fleet)
-    first, second = done.err.splitlines()
-    assert (done.code, done.out) == (2, "")
+    result = run("poll", fleet)
+    first, second = result.err.splitlines()
+    assert (result.code, result.out) == (2, "")
     assert "device[2].unit " in first
     assert "device[3].url: " in second
 
@@ -113,14 +113,14 @@ def test_it_is_said_how_a_list_of_devices_was_read(fleet: Path) -> None:
     rows = "Geräte;\nname;url\ndrei;tcp://127.0.0.1:1\n"
     (fleet.parent / "list.csv").write_bytes(rows.encode("cp1252"))
     fleet.write_text('devices = "list.csv"\nencoding = "cp1252"\n' + fleet.read_text())
-    said = run("poll", fleet, "--check").err.splitlines()
-    assert "list.csv: read as cp1252" in said[0]
-    assert said[1].endswith("list.csv: rows above the headings that are skipped: 1")
+    lines = run("poll", fleet, "--check").err.splitlines()
+    assert "list.csv: read as cp1252" in lines[0]
+    assert lines[1].endswith("list.csv: rows above the headings that are skipped: 1")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_with_a_summary(fleet: Path, number: signal.Signals) -> None:
-    with started(fleet) as polling:
+    with start(fleet) as polling:
         first = json.loads(polling.stdout.readline())
         assert first["device"] in ("one", "two", "gone")
         polling.send_signal(number)
@@ -137,13 +137,13 @@ def test_a_signal_while_all_wait_ends_it(tmp_path: Path) -> None:
     """For answers and for a connection, a minute each."""
     (tmp_path / "meter.csv").write_text(METER)
     path = tmp_path / "fleet.toml"
-    with dead() as port, socket.create_server(("127.0.0.1", 0)) as silent:
+    with mute_port() as port, socket.create_server(("127.0.0.1", 0)) as silent:
         path.write_text(
             "[defaults]\nmap = 'meter.csv'\ninterval = 0.1\n"
             f"[[device]]\nname = 'a'\nurl = 'tcp://127.0.0.1:{port}?timeout=60'\n"
             f"[[device]]\nname = 'b'\nurl = 'tcp://127.0.0.1:{silent.getsockname()[1]}?timeout=60'\n"
         )
-        with started(path) as polling:
+        with start(path) as polling:
             silent.settimeout(LONGEST)
             peer, _ = silent.accept()
             with peer:
@@ -183,10 +183,10 @@ def test_it_restores_the_signal_handlers_of_a_program(fleet: Path, monkeypatch, 
         raise AssertionError(f"nobody sends signal {number}")
 
     before = {number: signal.signal(number, own_handler) for number in numbers}
-    done = run("poll", fleet, *mode, "--json", fleet.with_name("readings.json"))
-    assert done.code == (mode == ["--once"])  # one device does not answer
-    found = [signal.signal(number, handler) for number, handler in before.items()]
-    assert found == [own_handler] * 3
+    result = run("poll", fleet, *mode, "--json", fleet.with_name("readings.json"))
+    assert result.code == (mode == ["--once"])  # one device does not answer
+    handlers = [signal.signal(number, handler) for number, handler in before.items()]
+    assert handlers == [own_handler] * 3
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == set()
 
 
@@ -206,15 +206,15 @@ def test_each_reason_to_wait_for_the_engine_is_logged_once(monkeypatch, caplog) 
 @pytest.mark.parametrize("form", ["--json", "--csv"])
 def test_a_full_disk_is_one_line(fleet: Path, form: str) -> None:
     with open("/dev/full", "w") as full:
-        done = ended("poll", fleet, form, stdout=full.fileno())
-    assert done.code == 1
-    assert done.err == "libmodbus-py: standard output: No space left on device\n"
+        result = run_forked("poll", fleet, form, stdout=full.fileno())
+    assert result.code == 1
+    assert result.err == "libmodbus-py: standard output: No space left on device\n"
 
 
-def test_files_and_metrics(fleet: Path) -> None:
+def test_polls_go_to_files_and_metrics(fleet: Path) -> None:
     pytest.importorskip("prometheus_client")
     rows = fleet.parent / "readings.csv"
-    wanted = (
+    samples = (
         "modbus_fleet_up 2.0",
         'modbus_fleet_device_up{device="one",site="here"} 1.0',
         'modbus_fleet_device_up{device="gone"} 0.0',
@@ -222,13 +222,13 @@ def test_files_and_metrics(fleet: Path) -> None:
         'modbus_fleet_value{device="one",name="voltage",site="here",unit="V"} 230.5',
         'modbus_fleet_value{device="two",name="voltage",unit="V"} 230.5',
     )
-    with started(fleet, "--csv", rows, "--metrics", "127.0.0.1:0") as polling:
-        told = polling.stderr.readline()
-        assert told.startswith("metrics on http://127.0.0.1:")
-        url = told.split()[-1]
+    with start(fleet, "--csv", rows, "--metrics", "127.0.0.1:0") as polling:
+        message = polling.stderr.readline()
+        assert message.startswith("metrics on http://127.0.0.1:")
+        url = message.split()[-1]
         end = time.monotonic() + LONGEST
         metrics = ""
-        while not all(each in metrics for each in wanted):
+        while not all(each in metrics for each in samples):
             assert time.monotonic() < end
             time.sleep(0.05)
             with urllib.request.urlopen(url, timeout=LONGEST) as page:
@@ -248,12 +248,12 @@ def test_files_and_metrics(fleet: Path) -> None:
 def test_a_status_line_on_a_terminal(fleet: Path, term: str, options: list[str]) -> None:
     command = ("poll", fleet, "--csv", "/nowhere/at/all", *options)
     with on_terminal(*command, columns=200, environment={"TERM": term}) as terminal:
-        terminal.until(lambda shown: "2 of 3 devices up; 1 of 3 devices down (gone)" in shown)
-        terminal.until(lambda shown: "; output csv /nowhere/at/all fails; " in shown)
+        terminal.until(lambda text: "2 of 3 devices up; 1 of 3 devices down (gone)" in text)
+        terminal.until(lambda text: "; output csv /nowhere/at/all fails; " in text)
         terminal.process.send_signal(signal.SIGINT)
-        seen = terminal.read_to_end()
-    assert " polls a second, at most " in seen
-    assert '"device"' not in seen  # values are for files and pipes
+        output = terminal.read_to_end()
+    assert " polls a second, at most " in output
+    assert '"device"' not in output  # values are for files and pipes
 
 
 def with_journal(fleet: Path) -> Path:
@@ -264,7 +264,7 @@ def with_journal(fleet: Path) -> Path:
 
 def test_a_journal_is_told_of_at_the_end_and_used_by_one_program(fleet: Path) -> None:
     file = with_journal(fleet)
-    with started(file, "--json") as process:
+    with start(file, "--json") as process:
         ids = [json.loads(process.stdout.readline())["id"] for _ in range(10)]
         assert ids == list(range(ids[0], ids[0] + 10))
         code, _, err = run("poll", file)
@@ -273,28 +273,30 @@ def test_a_journal_is_told_of_at_the_end_and_used_by_one_program(fleet: Path) ->
         process.terminate()
         _, err = process.communicate()
     assert process.returncode == 0, err
-    told = r"^journal: \d+ written, 0 dropped, 0\.\d MB$"
-    assert re.search(told, err, re.MULTILINE), err
+    summary = r"^journal: \d+ written, 0 dropped, 0\.\d MB$"
+    assert re.search(summary, err, re.MULTILINE), err
     # The standard output has the readings of this run only.
-    code, out, _ = ended("poll", file, "--once", "--json")
+    code, out, _ = run_forked("poll", file, "--once", "--json")
     assert code == 1  # one device does not answer
     assert out.count('"voltage"') == 3
 
 
 @each_case(
-    ("journal", "path", "said"),
+    ("journal", "path", "message"),
     [
         ("", "readings.jsonl", ""),
         ("", "/nowhere/at/all", "/all: 0 written, 1 dropped: /nowhere/at/all: No such file"),
         ("journal = 'kept.db'\n", "/nowhere/at/all", "0 dropped, 1 wait in the journal: /nowhere"),
     ],
 )
-def test_an_output_that_takes_nothing_is_named(tmp_path_factory, journal, path, said) -> None:
+def test_an_output_that_takes_nothing_is_named(tmp_path_factory, journal, path, message) -> None:
     folder = tmp_path_factory.mktemp("once")
     with ServerMaker() as maker:
         (folder / "fleet.toml").write_text(journal + FLEET_OF_ONE.format(url=maker().url))
-        done = ended("poll", folder / "fleet.toml", "--once", f"--json={folder / path}", "--csv")
-    assert done.code == bool(said)
-    assert said in done.err
-    assert bool(done.err) == bool(said)
-    assert done.out.count("\n") == 2  # the other output got all
+        result = run_forked(
+            "poll", folder / "fleet.toml", "--once", f"--json={folder / path}", "--csv"
+        )
+    assert result.code == bool(message)
+    assert message in result.err
+    assert bool(result.err) == bool(message)
+    assert result.out.count("\n") == 2  # the other output got all

@@ -19,9 +19,9 @@ METER = "name,table,address,unit,scale\nlevel,holding_registers,0,m,0.1\n"
 
 
 @each_case(
-    ("columns", "rows", "shown"), [(80, 24, 9), (80, 6, 5), (80, 2, 1), (80, 1, 1), (3, 24, 9)]
+    ("columns", "rows", "text"), [(80, 24, 9), (80, 6, 5), (80, 2, 1), (80, 1, 1), (3, 24, 9)]
 )
-def test_what_is_drawn_fits_the_terminal(monkeypatch, columns, rows, shown) -> None:
+def test_what_is_drawn_fits_the_terminal(monkeypatch, columns, rows, text) -> None:
     size = os.terminal_size((columns, rows))
     monkeypatch.setattr("shutil.get_terminal_size", lambda: size)
     stream = io.StringIO()
@@ -29,10 +29,10 @@ def test_what_is_drawn_fits_the_terminal(monkeypatch, columns, rows, shown) -> N
     lines = [(f"line {at} \x1b[2J" + "x" * 200, False) for at in range(9)]
     table.draw(lines)
     first = stream.getvalue().split("\n")[:-1]
-    assert len(first) == shown
+    assert len(first) == text
     assert all(len(line) < columns and "\x1b" not in line for line in first)
     table.draw(lines[:1])
-    assert f"\x1b[{shown}A\r\x1b[J" in stream.getvalue()
+    assert f"\x1b[{text}A\r\x1b[J" in stream.getvalue()
     table.clear()
     table.clear()
     assert stream.getvalue().endswith("\x1b[1A\r\x1b[J")
@@ -48,13 +48,13 @@ def test_a_terminal_shows_values_and_is_left_in_order(tmp_path: Path) -> None:
         (tmp_path / "fleet.toml").write_text(text)
         environment = {"TERM": "xterm"}
         with on_terminal("poll", tmp_path / "fleet.toml", environment=environment) as terminal:
-            terminal.until(lambda shown: "level" in shown and "1.7 m" in shown)
-            terminal.until(lambda shown: "south is down since" in shown)
-            terminal.until(lambda shown: shown.count("1.7 m") > 1)
+            terminal.until(lambda frame: "level" in frame and "1.7 m" in frame)
+            terminal.until(lambda frame: "south is down since" in frame)
+            terminal.until(lambda frame: frame.count("1.7 m") > 1)
             terminal.process.send_signal(signal.SIGINT)
-            seen = terminal.read_to_end()
-    assert "\r\x1b[J" in seen
-    assert "polls in" in seen.rpartition("\x1b[J")[2]  # the summary is what remains
+            output = terminal.read_to_end()
+    assert "\r\x1b[J" in output
+    assert "polls in" in output.rpartition("\x1b[J")[2]  # the summary is what remains
 
 
 TANK = "name,table,address,unit\nlevel,holding_registers,0,m\npressure,holding_registers,1,bar\n"

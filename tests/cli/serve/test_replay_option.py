@@ -25,17 +25,17 @@ def test_a_replay_is_the_same_and_an_empty_server_is_not(capture: Path) -> None:
     with serving("serve", "tcp://127.0.0.1:0", "--replay", capture) as (_, url):
         with Client(url) as client:
             assert client.read_holding_registers(107, 3) == [555, 0, 100]
-        done = run("listen", capture, "--compare-with", url, "--writes")
-        assert (done.code, done.out) == (0, "")
-        assert done.err.endswith("3 requests, 0 with another answer now\n")
+        result = run("listen", capture, "--compare-with", url, "--writes")
+        assert (result.code, result.out) == (0, "")
+        assert result.err.endswith("3 requests, 0 with another answer now\n")
     with serving("serve", "tcp://127.0.0.1:0") as (_, url):
-        done = run("listen", capture, "--compare-with", url, "-u", 9)
-        assert (done.code, done.out) == (2, "")
-        assert "plant.pcap: no request to send; --writes sends" in done.err
-        done = run("listen", capture, "--compare-with", url)
-        assert (done.code, done.out.count("; now [")) == (1, 2)
-        assert "count=3) -> [555, 0, 100]; now [0, 0, 0]\n" in done.out
-        assert done.err.endswith("2 requests, 2 with another answer now\n")
+        result = run("listen", capture, "--compare-with", url, "-u", 9)
+        assert (result.code, result.out) == (2, "")
+        assert "plant.pcap: no request to send; --writes sends" in result.err
+        result = run("listen", capture, "--compare-with", url)
+        assert (result.code, result.out.count("; now [")) == (1, 2)
+        assert "count=3) -> [555, 0, 100]; now [0, 0, 0]\n" in result.out
+        assert result.err.endswith("2 requests, 2 with another answer now\n")
 
 
 @each_case(
@@ -60,6 +60,6 @@ def test_a_replay_is_the_same_and_an_empty_server_is_not(capture: Path) -> None:
     ],
 )
 def test_what_does_not_go_together(words: list[str], message: str, capture: Path) -> None:
-    done = run(*(word.format(capture) for word in words))
-    assert (done.code, done.out) == (2, "")
-    assert message in done.err
+    result = run(*(word.format(capture) for word in words))
+    assert (result.code, result.out) == (2, "")
+    assert message in result.err

@@ -29,9 +29,9 @@ def test_serve_has_all_tables_and_files_for_every_unit(url: str) -> None:
         ("9", "file:1", "0"),
         ("9", "file:10", "9900", "100"),
     ):
-        done = run("read", url, *where, "--unit", unit, "--json")
-        assert done.code == 0, done.err
-        assert set(json.loads(done.out)["values"]) == {0}
+        result = run("read", url, *where, "--unit", unit, "--json")
+        assert result.code == 0, result.err
+        assert set(json.loads(result.out)["values"]) == {0}
 
 
 @pytest.mark.parametrize("kind", ["rtu", "ascii"])
@@ -47,13 +47,13 @@ def test_serial_ports_are_served_and_read(kind: str) -> None:
 
 
 def test_serve_says_when_a_port_is_taken(url: str) -> None:
-    done = run("serve", url)
-    assert done.code == 1
-    assert done.err == f"libmodbus-py: cannot listen on {url}: Address already in use\n"
+    result = run("serve", url)
+    assert result.code == 1
+    assert result.err == f"libmodbus-py: cannot listen on {url}: Address already in use\n"
 
 
 @each_case(
-    ("urls", "named"),
+    ("urls", "count"),
     [
         (["tcp://0.0.0.0:1"], 1),
         (["tcp://[::]:1"], 1),
@@ -63,15 +63,15 @@ def test_serve_says_when_a_port_is_taken(url: str) -> None:
     ],
 )
 @each_case("is_guarded", [True, False])
-def test_it_says_in_one_line_that_anyone_may_write(urls, named, is_guarded) -> None:
+def test_it_says_in_one_line_that_anyone_may_write(urls, count, is_guarded) -> None:
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         announce(urls, is_guarded=is_guarded)
     assert out.getvalue().splitlines() == [f"listening on {url}" for url in urls]
-    said, named = err.getvalue(), 0 if is_guarded else named
-    assert said.count("\n") == (named > 0)
-    assert [url for url in urls if url in said] == urls[:named]
-    assert ("anyone" in said) == ("--allow" in said) == (named > 0)
+    text, count = err.getvalue(), 0 if is_guarded else count
+    assert text.count("\n") == (count > 0)
+    assert [url for url in urls if url in text] == urls[:count]
+    assert ("anyone" in text) == ("--allow" in text) == (count > 0)
 
 
 def test_serve_has_the_units_that_were_typed() -> None:
@@ -83,9 +83,9 @@ def test_serve_has_the_units_that_were_typed() -> None:
 
 def test_a_map_of_the_package_is_served_by_its_name_to_some_units() -> None:
     with serving(*SERVE, "--map", "sdm120", "-u", "1,17") as (_, url):
-        found = run("read", url, "--map", "sdm120", "-u", "17", "voltage")
-        assert (found.code, found.err) == (0, "")
-        assert "voltage" in found.out
+        result = run("read", url, "--map", "sdm120", "-u", "17", "voltage")
+        assert (result.code, result.err) == (0, "")
+        assert "voltage" in result.out
         assert run("read", url, "--map", "sdm120", "-u", "3", "voltage").code == 1
 
 
@@ -102,8 +102,8 @@ def test_a_gateway_has_the_units_that_were_typed(device: str) -> None:
     to = device.removeprefix("tcp://")
     with serving("gateway", "127.0.0.1:0", "--to", to, "-u", "2") as (_, url):
         assert run("read", url, "-u", "2", "hr", 0).code == 0
-        done = run("read", url, "-u", "1", "hr", 0)
-        assert "gateway path unavailable (exception 10)" in done.err
+        result = run("read", url, "-u", "1", "hr", 0)
+        assert "gateway path unavailable (exception 10)" in result.err
 
 
 def test_sharing_a_device_takes_one_command(device: str) -> None:
@@ -118,7 +118,7 @@ def test_sharing_a_device_takes_one_command(device: str) -> None:
                 assert context.read_holding_registers(0, 1) == [len(url)]
 
 
-def test_the_gateway_is_shown() -> None:
+def test_a_page_shows_the_gateway() -> None:
     with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as behind:
         place = behind.urls[0]
         command = ("gateway", "tcp://127.0.0.1:0", "--to", place, "--page", "127.0.0.1:0")

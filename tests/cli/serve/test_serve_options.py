@@ -66,11 +66,11 @@ def test_what_changed_in_a_file_that_is_read_again_is_recorded(command, tmp_path
         file.write_text(texts[1])
         process.send_signal(signal.SIGHUP)
         until(lambda: "reload" in trail.read_text())
-    found = [json.loads(line) for line in trail.read_text().splitlines()]
-    assert sorted(each["event"] for each in found) == ["audit", "reload", "start", "stop"]
-    (said,) = (each["result"] for each in found if each["event"] == "reload")
-    assert said.startswith(f"{file}: read again, 1 ")
-    assert "1 new" in said or "1 changed" in said
+    events = [json.loads(line) for line in trail.read_text().splitlines()]
+    assert sorted(each["event"] for each in events) == ["audit", "reload", "start", "stop"]
+    (result,) = (each["result"] for each in events if each["event"] == "reload")
+    assert result.startswith(f"{file}: read again, 1 ")
+    assert "1 new" in result or "1 changed" in result
 
 
 (TOKEN,) = PAGE_TOKEN.values()
@@ -101,14 +101,14 @@ def test_a_token_that_was_given_opens_the_page_and_is_not_printed(where, tmp_pat
 def test_a_new_token_is_printed_on_a_terminal() -> None:
     shows_url = re.compile(r"page on (http://\S+\?token=\S{32})\s").search
     with on_terminal(*SERVE) as terminal:
-        found = shows_url(terminal.until(lambda text: shows_url(text) is not None))
-        assert found
-        with urllib.request.urlopen(found[1]) as answer:
+        match = shows_url(terminal.until(lambda text: shows_url(text) is not None))
+        assert match
+        with urllib.request.urlopen(match[1]) as answer:
             assert answer.status == 200
 
 
 @each_case(
-    ("content", "mode", "said"),
+    ("content", "mode", "message"),
     [
         ("", 0o640, "token must have 22 or more letters, digits, - or _"),
         ("short", 0o640, "token must have 22 or more"),
@@ -120,17 +120,17 @@ def test_a_new_token_is_printed_on_a_terminal() -> None:
         (None, 0, "No such file or directory"),
     ],
 )
-def test_a_wrong_token_is_told_and_not_shown(tmp_path, content, mode, said) -> None:
+def test_a_wrong_token_is_told_and_not_shown(tmp_path, content, mode, message) -> None:
     file = tmp_path / "file"
     file.unlink(missing_ok=True)
     if content is not None:
         file.write_bytes(content.encode(errors="surrogateescape"))
         file.chmod(mode)
-    done = run(*SERVE, "--page-token", file)
-    assert done.code == 2
-    assert said in done.err
-    assert done.err.count("\n") == 1
-    assert TOKEN not in done.err
+    result = run(*SERVE, "--page-token", file)
+    assert result.code == 2
+    assert message in result.err
+    assert result.err.count("\n") == 1
+    assert TOKEN not in result.err
 
 
 def test_files_of_certificates_are_read_again_on_hangup(command: list[str], pki: Pki, tmp_path):
@@ -153,7 +153,7 @@ def test_files_of_certificates_are_read_again_on_hangup(command: list[str], pki:
         crl.write_bytes(certificates.revocation_list(certificates.client("Operator")))
         process.send_signal(signal.SIGHUP)
         assert reload_line(process) == "certificates and passwords: read again"
-        until(lambda: shown(port) == renewed.der)
+        until(lambda: page_on(port) == renewed.der)
         with pytest.raises(ModbusConnectionError, match="refused our certificate"):
             Client(f"tls://127.0.0.1:{port}", security=pki.client()).read_holding_registers(0, 1)
         with Client(f"tls://127.0.0.1:{port}", security=pki.client("Viewer")) as plc:
@@ -192,10 +192,10 @@ def test_one_line_says_what_became_of_all_files(name: str, pki: Pki, tmp_path: P
         assert process.wait() == 0
     opened = f"{trail}: opened again; " if audit else ""
     bad_key = f"the former content is used: key {str(files.key)!r}: not the key of the certificate"
-    expected = {f"{file}: read again, {what}: no change", bad_key} | {opened[:-2]} - {""}
-    assert [set(line.split("; ")) for line in lines[:2]] == [expected] * 2
+    messages = {f"{file}: read again, {what}: no change", bad_key} | {opened[:-2]} - {""}
+    assert [set(line.split("; ")) for line in lines[:2]] == [messages] * 2
     assert not [line for line in lines[2:] if "read again" in line or "former" in line]
 
 
-def shown(port: int) -> bytes:
+def page_on(port: int) -> bytes:
     return ssl.PEM_cert_to_DER_cert(ssl.get_server_certificate(("127.0.0.1", port)))

@@ -64,11 +64,11 @@ def test_a_state_of_other_devices_is_refused_before_anything_is_served(plant: Pa
     state = tmp_path / "state"
     with serving(*SERVE, "--state", state) as (_, url), Client(url) as plc:
         plc.write_register(0, 1)
-    done = run(*SERVE, "--device", plant, "--state", state)
-    assert done.code == 2
-    assert done.out == ""
-    assert f"state: {state}: units.every: no such unit is served, only 1, 2; no value" in done.err
-    assert "rename the file to start without its values" in done.err
+    result = run(*SERVE, "--device", plant, "--state", state)
+    assert result.code == 2
+    assert result.out == ""
+    assert f"state: {state}: units.every: no such unit is served, only 1, 2; no value" in result.err
+    assert "rename the file to start without its values" in result.err
 
 
 def test_a_file_that_cannot_be_made_is_told_once(plant: Path) -> None:
@@ -78,15 +78,15 @@ def test_a_file_that_cannot_be_made_is_told_once(plant: Path) -> None:
     ):
         plc.write_register(3, 33)
         assert plc.read_holding_registers(3, 1) == [33]
-        told = process.stderr.readline()
+        message = process.stderr.readline()
     # As in most containers, /sys may be mounted so that nobody can write.
     text = r"/sys/state: (Permission denied|Read-only file system); until it can be written, values"
-    assert re.search(f"{text} are not kept", told)
+    assert re.search(f"{text} are not kept", message)
 
 
 def test_it_is_written_at_the_end_though_the_server_failed(tmp_path: Path) -> None:
     with serving(*SERVE, "--state", tmp_path / "first") as (_, url):
-        done = run("serve", url, "--state", tmp_path / "state")
-    assert done.code == 1
-    assert "Address already in use" in done.err
+        result = run("serve", url, "--state", tmp_path / "state")
+    assert result.code == 1
+    assert "Address already in use" in result.err
     assert (tmp_path / "state").read_text().endswith("}}\n")

@@ -103,8 +103,8 @@ def test_the_command_of_a_unit_is_one_of_ours(unit: Path) -> None:
 def test_systemd_calls_a_unit_well_protected(unit: Path) -> None:
     analyze = program("systemd-analyze")
     threshold = f"--threshold={MOST_EXPOSED * 10:.0f}"
-    done = run_to_end(analyze, "security", "--offline=yes", threshold, unit)
-    assert done.returncode == 0, done.stdout[-200:] + done.stderr
+    result = run_to_end(analyze, "security", "--offline=yes", threshold, unit)
+    assert result.returncode == 0, result.stdout[-200:] + result.stderr
     verified = run_to_end(analyze, "verify", unit)
     unknown = [line for line in verified.stderr.splitlines() if "Unknown" in line]
     assert unknown == []
@@ -160,9 +160,9 @@ def turkish(folder: Path) -> dict[str, str]:
     """Make the locale, which few systems have installed."""
     if shutil.which("localedef") is None:
         pytest.skip("localedef is not installed")
-    made = folder / "tr_TR.UTF-8"
-    done = subprocess.run(["localedef", "-i", "tr_TR", "-f", "UTF-8", str(made)], check=False)
-    if done.returncode or not made.exists():
+    target = folder / "tr_TR.UTF-8"
+    result = subprocess.run(["localedef", "-i", "tr_TR", "-f", "UTF-8", str(target)], check=False)
+    if result.returncode or not target.exists():
         pytest.skip("this system lacks the sources of locales")
     return {"LOCPATH": str(folder), "LC_ALL": "tr_TR.UTF-8", "LANGUAGE": "tr"}
 
@@ -174,23 +174,23 @@ def test_outputs_have_the_same_bytes_in_every_locale(
     variables = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     if locale == "Turkish":
         variables = turkish(tmp_path_factory.mktemp("locales"))
-    done = under("022", "poll", fleet, "--once", folder=tmp_path, **variables)
-    assert (done.returncode, done.stderr) == (0, b"")
+    result = under("022", "poll", fleet, "--once", folder=tmp_path, **variables)
+    assert (result.returncode, result.stderr) == (0, b"")
     with open(tmp_path / "readings.csv", encoding="utf-8", newline="") as file:
         (row,) = csv.DictReader(file)
     line = json.loads((tmp_path / "readings.jsonl").read_text(encoding="utf-8"))
-    for found in (row, line):
-        assert (found["device"], found["name"]) == (DEVICE, NAME)
+    for text in (row, line):
+        assert (text["device"], text["name"]) == (DEVICE, NAME)
     with closing(sqlite3.connect(tmp_path / "fleet.db")) as database:
-        kept = database.execute("SELECT device, name, unit FROM reading").fetchall()
-    assert kept == [(DEVICE, NAME, UNIT)]
+        rows = database.execute("SELECT device, name, unit FROM reading").fetchall()
+    assert rows == [(DEVICE, NAME, UNIT)]
 
 
 @pytest.mark.parametrize("umask", ["000", "077"])
 def test_a_journal_is_never_written_to_by_others(fleet: Path, tmp_path: Path, umask: str) -> None:
     for count in (1, 2):
-        done = under(umask, "poll", fleet, "--once", folder=tmp_path)
-        assert (done.returncode, done.stderr) == (0, b"")
+        result = under(umask, "poll", fleet, "--once", folder=tmp_path)
+        assert (result.returncode, result.stderr) == (0, b"")
         with closing(sqlite3.connect(tmp_path / "fleet.db")) as database:
             assert database.execute("SELECT count(*) FROM reading").fetchone() == (count,)
     modes = {each.name: each.stat().st_mode & 0o777 for each in tmp_path.glob("fleet.db*")}

@@ -19,14 +19,14 @@ async def test_a_watch_that_could_not_begin_is_told_nothing_more(
     begin = engine.begin_consumer
     monkeypatch.setattr(engine, "begin_consumer", lambda reply, *who: begin(lambda _: None, *who))
     engine.write("settings", b"1")
-    told: list[Change | None] = []
+    changes: list[Change | None] = []
     with pytest.raises(EngineGone, match="no answer"):
-        await engine.bucket(client).watch(told.append)
-    assert told
-    told.clear()
+        await engine.bucket(client).watch(changes.append)
+    assert changes
+    changes.clear()
     engine.write("settings", b"2")
     await asyncio.sleep(1.0)
-    assert told == []
+    assert changes == []
 
 
 @with_engine
@@ -35,25 +35,25 @@ async def test_contents_from_a_server_that_lags_behind_are_complete_with_their_l
 ) -> None:
     engine.write("a", b"1")
     engine.write("b", b"2")
-    told: list[Change | None] = []
+    changes: list[Change | None] = []
     engine.served = 0  # of a server that was just started
-    await engine.bucket(client).watch(told.append)
+    await engine.bucket(client).watch(changes.append)
     await asyncio.sleep(1.0)
-    assert told == []
+    assert changes == []
     engine.catch_up(to=1)
     await asyncio.sleep(1.0)
-    assert [each and each.key for each in told] == ["a"]
+    assert [each and each.key for each in changes] == ["a"]
     engine.catch_up()
     engine.write("c", b"3")
     await asyncio.sleep(1.0)
-    assert [each and each.key for each in told] == ["a", "b", None, "c"]
+    assert [each and each.key for each in changes] == ["a", "b", None, "c"]
 
 
 @with_engine
 async def test_an_empty_bucket_is_complete_at_once(engine: Engine, client: EngineClient) -> None:
-    told: list[Change | None] = []
-    await engine.bucket(client).watch(told.append)
-    assert told == [None]
+    changes: list[Change | None] = []
+    await engine.bucket(client).watch(changes.append)
+    assert changes == [None]
 
 
 @with_engine
@@ -117,7 +117,7 @@ def watched(
 
 
 @each_case(
-    ("messages", "told", "gaps"),
+    ("messages", "contents", "gaps"),
     [
         ([message(1, 5), message(2, 6, value=b"")], [(b"1", 5), None, (None, 6)], 0),
         ([message(1, 5), message(1, 5), message(2, 6)], [(b"1", 5), None], 1),  # twice
@@ -127,8 +127,8 @@ def watched(
     ],
 )
 def test_a_change_that_comes_twice_or_too_late_is_a_gap_and_ends_the_watch(
-    messages: list[Any], told: list[Any], gaps: int
+    messages: list[Any], contents: list[Any], gaps: int
 ) -> None:
     watch, changes, missed = watched("a", messages)
-    assert [each and (each.value, each.revision) for each in changes] == told
+    assert [each and (each.value, each.revision) for each in changes] == contents
     assert (len(missed), watch.is_broken) == (gaps, bool(gaps))

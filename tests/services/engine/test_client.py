@@ -81,10 +81,10 @@ async def connection(url: str, **environment: str) -> AsyncIterator[Any]:
 @asynccontextmanager
 async def subscribed() -> AsyncIterator[tuple[Server, Any, list[Any]]]:
     """A server, a client that subscribed to commands as number 1, and what that heard."""
-    heard: list[Any] = []
+    messages: list[Any] = []
 
     async def note(message: Any) -> None:
-        heard.append(message)
+        messages.append(message)
 
     async with (
         serving(lambda number: (INFO, None)) as (server, port),
@@ -92,7 +92,7 @@ async def subscribed() -> AsyncIterator[tuple[Server, Any, list[Any]]]:
     ):
         await client.subscribe("modbus.write.*.*", cb=note)
         await client.flush()
-        yield server, client, heard
+        yield server, client, messages
 
 
 GOOD = b"MSG modbus.write.pump.level 1 2\r\nok\r\n"
@@ -115,10 +115,10 @@ GOOD = b"MSG modbus.write.pump.level 1 2\r\nok\r\n"
 async def test_a_malformed_message_costs_no_other(message: bytes) -> None:
     """Any client may send it to the subjects of commands, and all workers receive it."""
 
-    async with subscribed() as (server, client, heard):
+    async with subscribed() as (server, client, messages):
         server.say(message + GOOD)
-        await until(lambda: any(each.data == b"ok" for each in heard))
-        assert [each.data for each in heard] == [b"no", b"ok"]
+        await until(lambda: any(each.data == b"ok" for each in messages))
+        assert [each.data for each in messages] == [b"no", b"ok"]
         assert len(server.heard) == 1  # the connection was not lost
         assert client.is_connected
 
@@ -139,18 +139,18 @@ async def test_a_malformed_message_costs_no_other(message: bytes) -> None:
     ids=repr,
 )
 async def test_after_an_error_of_the_server_the_client_connects_again(line: bytes) -> None:
-    async with subscribed() as (server, client, heard):
+    async with subscribed() as (server, client, messages):
         server.say(line)
         await until(lambda: len(server.heard) == 2 and client.is_connected)
         await until(lambda: any(each.startswith(b"SUB modbus") for each in server.heard[1]))
         server.say(GOOD)
-        await until(lambda: heard)
+        await until(lambda: messages)
 
 
 async def test_a_permission_that_is_missing_ends_no_connection() -> None:
-    async with subscribed() as (server, _, heard):
+    async with subscribed() as (server, _, messages):
         server.say(b"-ERR 'Permissions Violation for Publish to \"x\"'\r\n" + GOOD)
-        await until(lambda: heard)
+        await until(lambda: messages)
         assert len(server.heard) == 1
 
 
@@ -176,10 +176,10 @@ MALFORMED = [
 
 
 async def test_a_real_server_passes_malformed_messages_on_over_one_connection() -> None:
-    heard: list[bytes] = []
+    messages: list[bytes] = []
 
     async def note(message: Any) -> None:
-        heard.append(message.data)
+        messages.append(message.data)
 
     with NatsServers(jetstream=False) as servers:
         port = servers.ports[0]
@@ -188,9 +188,9 @@ async def test_a_real_server_passes_malformed_messages_on_over_one_connection() 
             await client.flush()
             _, writer = await asyncio.open_connection("127.0.0.1", port)
             writer.write(b'CONNECT {"verbose":false,"headers":true}\r\n' + b"".join(MALFORMED))
-            await until(lambda: len(heard) == len(MALFORMED))
+            await until(lambda: len(messages) == len(MALFORMED))
             writer.close()
-            assert heard == [b"1", b"2", b"3", b"4", b"5", b"6"]
+            assert messages == [b"1", b"2", b"3", b"4", b"5", b"6"]
             assert client.stats["reconnects"] == 0
 
 

@@ -93,8 +93,8 @@ def test_credentials_come_from_the_environment(client: type[Client], monkeypatch
         NATS_NKEY=str(seed),
         NATS_X="x",
     )
-    given = {key: made.options.get(key) for key in ("user", "password", "token")}
-    assert given == {"user": "u", "password": "p", "token": "t"}
+    credentials = {key: made.options.get(key) for key in ("user", "password", "token")}
+    assert credentials == {"user": "u", "password": "p", "token": "t"}
     assert made.options["user_credentials"] == creds.read_text()
     assert made.options["nkeys_seed_str"] == "SUA"
     assert "x" not in made.options.values()
@@ -125,14 +125,14 @@ def test_a_file_that_is_not_there_is_named(client: type[Client]) -> None:
 async def test_a_connection_that_is_lost_is_sought_for_ever_and_each_change_told(
     client: type[Client],
 ) -> None:
-    told: list[None] = []
-    made: Any = await open_connection(
-        SERVERS, name="a", on_change=lambda: told.append(None), environment={}
+    changes: list[None] = []
+    connection: Any = await open_connection(
+        SERVERS, name="a", on_change=lambda: changes.append(None), environment={}
     )
-    assert made.options["max_reconnect_attempts"] == -1
+    assert connection.options["max_reconnect_attempts"] == -1
     for event in ("disconnected_cb", "reconnected_cb", "closed_cb"):
-        await made.options[event]()
-    assert len(told) == 3
+        await connection.options[event]()
+    assert len(changes) == 3
 
 
 @pytest.mark.parametrize("version", [(2, 9, 0), (3, 0, 0), (2, 8, 9), (1, 10, 0)])
@@ -202,11 +202,11 @@ SAID = {
 
 
 @contextlib.asynccontextmanager
-async def saying(said: bytes, *, closes: bool) -> AsyncIterator[str]:
+async def saying(line: bytes, *, closes: bool) -> AsyncIterator[str]:
     over = asyncio.Event()
 
     async def serve(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        writer.write(said)
+        writer.write(line)
         if not closes:
             await over.wait()
         writer.close()
@@ -224,9 +224,9 @@ def descriptors() -> int:
     return len(os.listdir("/proc/self/fd"))
 
 
-async def fails(said: bytes, closes: bool, patience: float) -> str:
+async def fails(line: bytes, closes: bool, patience: float) -> str:
     """Connect; return what is wrong with how that failed, if anything."""
-    async with saying(said, closes=closes) as url:
+    async with saying(line, closes=closes) as url:
         try:
             async with asyncio.timeout(patience):
                 await open_connection([url], name="test")

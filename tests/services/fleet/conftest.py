@@ -23,7 +23,7 @@ def broker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Broker]:
     monkeypatch.setattr(tasks, "FIRST_PAUSE_S", 0.01)
     monkeypatch.setattr(tasks, "LONGEST_PAUSE_S", 0.05)
     monkeypatch.setattr(pumps, "LONGEST_SILENCE_S", 0.1)
-    made = Broker(tmp_path)
-    made.start()
-    yield made
-    made.close()
+    server = Broker(tmp_path)
+    server.start()
+    yield server
+    server.close()

@@ -49,11 +49,11 @@ async def polling(
     readings: list[Reading] = []
 
     async def collect() -> None:
-        async for reading in kept:
+        async for reading in iterator:
             readings.append(reading)
 
     fleet = Fleet(devices, **options)
-    kept = fleet.readings()
+    iterator = fleet.readings()
     collecting = asyncio.create_task(collect())
     try:
         async with fleet:

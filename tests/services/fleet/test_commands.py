@@ -150,12 +150,12 @@ async def test_a_command_that_waited_is_refused_if_its_device_is_gone_then() -> 
 @in_simulated_time
 async def test_a_write_that_is_repeated_is_not_overtaken_by_the_next() -> None:
     """The first attempt gets no answer: the device must hear 20, 20 and then 25."""
-    written: list[int] = []
+    values: list[int] = []
 
     async def forgetful(request: bytes) -> bytes | None:
         if request[7] == 6:
-            written.append(int.from_bytes(request[10:12], "big"))
-            if len(written) == 1:
+            values.append(int.from_bytes(request[10:12], "big"))
+            if len(values) == 1:
                 return None
         return await good(request)
 
@@ -167,7 +167,7 @@ async def test_a_write_that_is_repeated_is_not_overtaken_by_the_next() -> None:
                 fleet.commands.answer("north", "setpoint", b"25"),
             )
             assert [json.loads(each or b"")["ok"] for each in outcomes] == [True, True]
-    assert written == [20, 20, 25]
+    assert values == [20, 20, 25]
 
 
 @in_simulated_time

@@ -41,7 +41,7 @@ def test_labels_that_prometheus_refuses_or_mixes(refused: Refused) -> None:
 
 
 @each_case("labels", [{"fire-zone": "x"}, {"_x": "x"}, {"1": "x"}, {"größe": "x"}, {"a.b": "c"}])
-def test_other_labels_are_taken(labels: dict[str, str]) -> None:
+def test_good_labels_are_accepted(labels: dict[str, str]) -> None:
     assert meter("a", "tcp://127.0.0.1", labels=labels).labels == labels
 
 
@@ -65,15 +65,15 @@ def test_two_spellings_of_a_url_are_one_connection(one: str, other: str) -> None
             Fleet([meter("a", one), meter("b", f"{other}?timeout=3", unit=2)])
 
 
-def settings(given: dict[str, Any]) -> FleetSettings:
-    return FleetSettings(**ENGINE.read(("engine",), given))
+def settings(keys: dict[str, Any]) -> FleetSettings:
+    return FleetSettings(**ENGINE.read(("engine",), keys))
 
 
 def test_settings_of_workers_have_defaults() -> None:
     assert settings({}) == FleetSettings(10.0, "stop", False, 86_400.0, 1 << 30)
-    given = {"lease": 0.5, "on_engine_loss": "continue", "commands": True}
+    keys = {"lease": 0.5, "on_engine_loss": "continue", "commands": True}
     sizes = {"max_age": 60, "max_bytes": 65536}
-    assert settings({**given, **sizes}) == FleetSettings(0.5, "continue", True, 60.0, 1 << 16)
+    assert settings({**keys, **sizes}) == FleetSettings(0.5, "continue", True, 60.0, 1 << 16)
 
 
 def test_a_wrong_setting_of_an_engine_is_named(refused: Refused) -> None:

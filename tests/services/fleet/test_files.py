@@ -83,7 +83,7 @@ north 1;tcp://192.0.2.8;4;;voltage;7,5;;;
 CSV_RIGHT = CSV.replace("7,5", "7.5").replace("voltage;", "voltage;", 1)
 
 
-def written(folder: Path, fleet: str = FLEET, csv: str = CSV_RIGHT, points: str = MAP) -> Path:
+def fleet_in(folder: Path, fleet: str = FLEET, csv: str = CSV_RIGHT, points: str = MAP) -> Path:
     (folder / "meter.csv").write_text(points)
     (folder / "more.csv").write_text(csv)
     (folder / "fleet.toml").write_text(fleet)
@@ -95,13 +95,13 @@ def test_default_dead_bands_of_points_that_a_device_does_not_read_are_left_out(
 ) -> None:
     monkeypatch.setenv("TEST_MQTT_PASSWORD", "secret")
     fleet = FLEET.partition('[[device]]\nname = "own"')[0]
-    pump, valve, north = load(written(tmp_path, fleet)).devices
+    pump, valve, north = load(fleet_in(tmp_path, fleet)).devices
     assert pump.dead_bands == {"voltage": 0.5, "power": 10}
     assert valve.dead_bands == north.dead_bands == {"voltage": 0.5}
 
 
 def test_a_journal_of_a_file_is_made_with_its_keys(tmp_path: Path) -> None:
-    path = written(tmp_path, SIMPLE)
+    path = fleet_in(tmp_path, SIMPLE)
     assert load(path).made_journal() is None
     path.write_text(f'journal = "{tmp_path}/fleet.db"\n{SIMPLE}')
     journal = load(path).made_journal()
@@ -109,12 +109,12 @@ def test_a_journal_of_a_file_is_made_with_its_keys(tmp_path: Path) -> None:
     assert journal.path == f"{tmp_path}/fleet.db"
 
 
-def test_a_file_with_every_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_with_every_key_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TEST_MQTT_PASSWORD", "secret")
     # One unit has the bands of the defaults that it reads; one has no map of these.
     fleet = FLEET.replace("dead_bands = {voltage = 0.5, power = 10}", "")
     fleet = fleet.replace("[[device]]", "[[device]]\ndead_bands = {power = 10}", 1)
-    file = load(written(tmp_path, fleet))
+    file = load(fleet_in(tmp_path, fleet))
     pump, valve, own, north = file.devices
     assert [each.name for each in file.devices] == ["pump", "valve", "own", "north 1"]
     assert (pump.unit, pump.interval, pump.timeout) == (3, 2.5, None)
@@ -147,14 +147,14 @@ def test_the_example_of_the_source_tree_can_be_loaded(monkeypatch: pytest.Monkey
 
 def test_the_example_of_the_source_tree_has_every_key() -> None:
     text = EXAMPLE.read_text()
-    given = tomllib.loads(re.sub(r"(?m)^# (?=\w+ = )", "", text))  # also what is commented out
-    assert set(FILE) == set(given)
-    assert set(ENGINE) == set(given["engine"])
-    assert set(TABLE) == {key for table in [given["defaults"], *given["device"]] for key in table}
+    file = tomllib.loads(re.sub(r"(?m)^# (?=\w+ = )", "", text))  # also what is commented out
+    assert set(FILE) == set(file)
+    assert set(ENGINE) == set(file["engine"])
+    assert set(TABLE) == {key for table in [file["defaults"], *file["device"]] for key in table}
     for kind in KINDS:
-        tables = given["output"][kind]
-        found = {key for each in ([tables] if isinstance(tables, dict) else tables) for key in each}
-        assert found >= set(output_keys(kind)) - {"buffer"}, kind
+        tables = file["output"][kind]
+        keys = {key for each in ([tables] if isinstance(tables, dict) else tables) for key in each}
+        assert keys >= set(output_keys(kind)) - {"buffer"}, kind
     assert "buffer = " in text  # all kinds have it
     for secret in SECRET:
         assert f"or {secret}_file = " in text
@@ -166,7 +166,7 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
 def load_texts(folder: Path, *texts: str) -> None:
     """Load a fleet file, whose errors name its folder as FOLDER, and no password."""
     try:
-        load(written(folder, *texts))
+        load(fleet_in(folder, *texts))
     except FleetFileError as error:
         text = str(error).replace(str(folder), "FOLDER")
         raise ValueError(text.replace("secret", "PASSWORD")) from None
@@ -187,7 +187,7 @@ SPREADSHEET = "Geräte 2026;;;\n\nname;url;map;interval;labels.site\na;tcp://h;m
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "message"),
     [
         (SPREADSHEET.encode(), []),
         (SPREADSHEET.encode("cp1252"), ["read as cp1252"]),
@@ -196,14 +196,14 @@ SPREADSHEET = "Geräte 2026;;;\n\nname;url;map;interval;labels.site\na;tcp://h;m
     ],
     ids=["UTF-8", "cp1252", "UTF-16", "sep"],
 )
-def test_a_list_of_devices_is_read_as_spreadsheets_save_it(tmp_path, data, said) -> None:
-    encoding = 'encoding = "cp1252"\n' if "read as cp1252" in said else ""
-    path = written(tmp_path, f'{encoding}devices = "more.csv"')
+def test_a_list_of_devices_is_read_as_spreadsheets_save_it(tmp_path, data, message) -> None:
+    encoding = 'encoding = "cp1252"\n' if "read as cp1252" in message else ""
+    path = fleet_in(tmp_path, f'{encoding}devices = "more.csv"')
     (tmp_path / "more.csv").write_bytes(data)
     file = load(path)
     (device,) = file.devices
     assert (device.interval, device.labels) == (1.5, {"site": "Köln"})
-    notes = [*said, "rows above the headings that are skipped: 1"]
+    notes = [*message, "rows above the headings that are skipped: 1"]
     assert file.notes == tuple(f"{tmp_path / 'more.csv'}: {each}" for each in notes)
 
 
@@ -218,25 +218,25 @@ def test_a_list_of_devices_is_a_table_in_markdown_or_a_spreadsheet(tmp_path: Pat
     book.active.append(["a", "tcp://192.0.2.1", "sdm120", 7])
     book.save(tmp_path / "more.xlsx")
     for name in ("more.md", "more.xlsx"):
-        (device,) = load(written(tmp_path, f'devices = "{name}"')).devices
+        (device,) = load(fleet_in(tmp_path, f'devices = "{name}"')).devices
         assert (device.name, device.unit) == ("a", 7)
 
 
 def test_all_mistakes_in_devices_are_found_at_once(tmp_path: Path) -> None:
     rows = ROWS + "b,tcp://i,x,meter.csv\nc,,1,meter.csv\na,tcp://i,2,meter.csv\n"
     table = SIMPLE.replace('"a"', '"d"') + "unit = 256\n"
-    path = written(tmp_path, f"devices = 'more.csv'\n{table}", rows)
+    path = fleet_in(tmp_path, f"devices = 'more.csv'\n{table}", rows)
     with pytest.raises(FleetFileError) as caught:
         load(path)
-    found = [str(each) for each in (caught.value, *caught.value.others)]
-    wanted = ["device[0].unit", "line 3, column unit", "line 4, column url", "line 5, column name"]
-    for said, text in zip(wanted, found, strict=True):
+    messages = [str(each) for each in (caught.value, *caught.value.others)]
+    places = ["device[0].unit", "line 3, column unit", "line 4, column url", "line 5, column name"]
+    for place, text in zip(places, messages, strict=True):
         assert text.startswith(f"{path}, line ")
-        assert said in text
+        assert place in text
 
 
 def test_an_error_has_no_more_than_a_page_of_mistakes(tmp_path: Path) -> None:
-    path = written(tmp_path, 'devices = "more.csv"', ROWS + "b,tcp://i,x,meter.csv\n" * 100)
+    path = fleet_in(tmp_path, 'devices = "more.csv"', ROWS + "b,tcp://i,x,meter.csv\n" * 100)
     with pytest.raises(FleetFileError) as caught:
         load(path)
     assert len(caught.value.others) == 19
@@ -245,15 +245,15 @@ def test_an_error_has_no_more_than_a_page_of_mistakes(tmp_path: Path) -> None:
 @pytest.mark.parametrize("where", ["[[device]]", "[defaults]"])
 def test_columns_of_a_map_are_named(tmp_path: Path, where: str) -> None:
     points = MAP.replace("name,", "Mesure,", 1)
-    named = "columns = {name = 'Mesure'}\n"
-    fleet = SIMPLE + named if where == "[[device]]" else f"[defaults]\n{named}{SIMPLE}"
-    (device,) = load(written(tmp_path, fleet, points=points)).devices
+    option = "columns = {name = 'Mesure'}\n"
+    fleet = SIMPLE + option if where == "[[device]]" else f"[defaults]\n{option}{SIMPLE}"
+    (device,) = load(fleet_in(tmp_path, fleet, points=points)).devices
     assert "voltage" in device.map
     with pytest.raises(FleetFileError, match="no column name"):
-        load(written(tmp_path, SIMPLE, points=points))
+        load(fleet_in(tmp_path, SIMPLE, points=points))
     wrong = fleet.replace("'Mesure'", "7")
     with pytest.raises(FleetFileError, match=r"columns\.name must be the heading of a column"):
-        load(written(tmp_path, wrong, points=points))
+        load(fleet_in(tmp_path, wrong, points=points))
 
 
 def test_ten_thousand_devices_are_read_in_time(tmp_path: Path) -> None:
@@ -261,14 +261,14 @@ def test_ten_thousand_devices_are_read_in_time(tmp_path: Path) -> None:
         f"device {at},tcp://10.0.{at // 2560}.{at // 10 % 256},{at % 10 + 1},meter.csv\n"
         for at in range(10_000)
     )
-    file = load(written(tmp_path, 'devices = "more.csv"', rows))
+    file = load(fleet_in(tmp_path, 'devices = "more.csv"', rows))
     assert len(file.devices) == 10_000
     assert len(by_connection(file.devices)) == 1000
     assert len({id(each.map) for each in file.devices}) == 1
 
 
 def test_a_file_for_the_map_with_a_mistake_is_named(tmp_path: Path) -> None:
-    path = written(tmp_path, SIMPLE, points=MAP.replace("float32", "float33"))
+    path = fleet_in(tmp_path, SIMPLE, points=MAP.replace("float32", "float33"))
     with pytest.raises(FleetFileError, match=re.escape("meter.csv, line 3, column type: ")):
         load(path)
 

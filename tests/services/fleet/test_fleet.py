@@ -89,8 +89,8 @@ async def test_real_connections_are_polled() -> None:
             await until(lambda: fleet.statistics.up == 3 and fleet.statistics.down == 1)
             await fleet.write("1", {"setpoint": 25})
             await until(lambda: readings[-1].value == 25)
-        told = {each[1:4] for each in readings if each.name == "voltage"}
-        assert told == {
+        values = {each[1:4] for each in readings if each.name == "voltage"}
+        assert values == {
             ("1", "voltage", 10.0),
             ("2", "voltage", None),
             ("3", "voltage", 30.0),
@@ -146,14 +146,14 @@ async def test_once_polls_each_once_and_ends() -> None:
     async with Peer(even) as peer:
         url = f"{peer.url}?timeout=0.1&max_in_flight=16"
         fleet = Fleet(meter(f"{unit}", url, unit=unit, interval=60) for unit in range(1, 11))
-        kept = fleet.readings()
+        iterator = fleet.readings()
         await fleet.run(once=True)
         assert sorted(peer.units) == list(range(1, 11))
         assert fleet.statistics.polls == 10
         assert fleet.statistics.failures == 5
-        told = [each async for each in kept]
-        assert Counter(each.quality for each in told) == {"good": 15, "down": 15}
-        assert {each.id for each in told} == {0}  # there is no journal
+        readings = [each async for each in iterator]
+        assert Counter(each.quality for each in readings) == {"good": 15, "down": 15}
+        assert {each.id for each in readings} == {0}  # there is no journal
         await Fleet().run(once=True)
 
 
@@ -242,18 +242,18 @@ async def test_a_wrong_list_of_devices_changes_nothing() -> None:
 
 @in_simulated_time
 async def test_a_device_that_may_not_be_asked_is_not_polled_and_gives_no_reading() -> None:
-    allowed: set[str] = set()
+    names: set[str] = set()
     async with Peer() as one, Peer() as two:
         devices = [meter("one", one.url), meter("two", two.url)]
         keys = [each.connection_key for each in devices]
-        async with polling(*devices, may_ask=lambda key: key in allowed) as (fleet, readings):
+        async with polling(*devices, may_ask=lambda key: key in names) as (fleet, readings):
             await until(lambda: fleet.statistics.vetoes >= 4)
             assert one.connections == two.connections == readings == []
-            allowed.add(keys[0])
+            names.add(keys[0])
             await until(lambda: len(readings) > 6)
             assert {each.device for each in readings} == {"one"}
             assert two.connections == []
-            allowed.clear()
+            names.clear()
             await asyncio.sleep(0.05)
             count, held = len(one.requests), fleet.statistics.vetoes
             await until(lambda: fleet.statistics.vetoes >= held + 6)

@@ -113,9 +113,9 @@ class TestSilentDevices:
         async with plant.polls(plant.device(1)):
             plant.silent.add(1)
             await asyncio.sleep(200)
-            found = gaps(plant.times(1))
-            assert [round(each) for each in found[:6]] == [2, 3, 5, 9, 17, 33]
-            assert max(found) < 65
+            pauses = gaps(plant.times(1))
+            assert [round(each) for each in pauses[:6]] == [2, 3, 5, 9, 17, 33]
+            assert max(pauses) < 65
             poller = plant.fleet.devices["device 1"]
             assert poller.state is DeviceState.DOWN
             statistics = plant.fleet.statistics
@@ -138,9 +138,9 @@ class TestSilentDevices:
             plant.silent.add(9)
             await asyncio.sleep(60)
             before = plant.fleet.statistics.skipped
-            begun = plant.now
+            start = plant.now
             await asyncio.sleep(30)
-            since = [at for at in plant.times(1) if at >= begun]
+            since = [at for at in plant.times(1) if at >= start]
             assert len(since) > 250
             assert max(gaps(since)) < 0.25
             assert plant.fleet.statistics.skipped - before < 5
@@ -169,10 +169,10 @@ class TestSilentDevices:
             await asyncio.sleep(5)
             plant.silent.clear()
             plant.delays[9] = 0.15
-            tried = len(plant.times(9))
+            polls = len(plant.times(9))
             while plant.fleet.devices["device 9"].state is not DeviceState.UP:
                 await asyncio.sleep(0.1)
-            assert len(plant.times(9)) <= tried + 1
+            assert len(plant.times(9)) <= polls + 1
 
     @in_simulated_time
     async def test_a_silent_device_is_polled_on_a_line_that_is_always_busy(self) -> None:
@@ -206,13 +206,13 @@ class TestSilentDevices:
             await asyncio.sleep(2)  # it is known how long its answers take
             plant.silent.add(9)
             await asyncio.sleep(10)
-            begun = plant.now
+            start = plant.now
             plant.silent.clear()
             plant.mute.add(9)
             while plant.fleet.devices["device 9"].state is not DeviceState.UP:
                 await asyncio.sleep(0.05)
             assert plant.asked[-1][1] == 1
-            assert max(gaps([at for at in plant.times(1) if at >= begun])) < 0.25
+            assert max(gaps([at for at in plant.times(1) if at >= start])) < 0.25
 
 
 class TestChanges:
@@ -270,10 +270,10 @@ class TestChanges:
             assert plant.fleet.statistics.down == 3
             plant.network.listen(plant.peer.url, plant.peer._accept)
             # One that rests for a minute is asked when another finds the connection.
-            begun = plant.now
+            start = plant.now
             while plant.fleet.statistics.up < 3:
                 await asyncio.sleep(0.1)
-                assert plant.now < begun + 70
+                assert plant.now < start + 70
             first = plant.asked[0][0]
             assert plant.now - first < 2.5
 

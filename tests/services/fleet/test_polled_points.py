@@ -90,8 +90,8 @@ def test_an_error_of_a_point_is_told_once_and_so_is_its_end() -> None:
     device.poll()
     for _ in range(5):
         device.poll()
-    found = device.poll(ModbusTimeoutError("lost"), at=10)
-    assert found == {"v": (230, ""), "energy": (None, "ModbusTimeoutError")}
+    readings = device.poll(ModbusTimeoutError("lost"), at=10)
+    assert readings == {"v": (230, ""), "energy": (None, "ModbusTimeoutError")}
     assert device.poll() == {"v": (230, ""), "energy": (100, "")}
     assert device.poll() == {"v": (230, "")}
 
@@ -161,9 +161,9 @@ async def test_a_refused_address_costs_ten_requests_and_is_logged_once(caplog) -
         await asyncio.sleep(700)
         assert poller.unreadable == []
         assert poller.error is None
-    told = [(each.quality, each.reason) for each in plant.readings if each.name == "p7"]
-    assert told[0] == ("bad", "IllegalDataAddress")
-    assert set(told[1:]) == {("good", "")}
+    qualities = [(each.quality, each.reason) for each in plant.readings if each.name == "p7"]
+    assert qualities[0] == ("bad", "IllegalDataAddress")
+    assert set(qualities[1:]) == {("good", "")}
     others = [each for each in plant.readings if each.name != "p7"]
     assert all(each.quality == "good" and each.value == int(each.name[1:]) for each in others)
     assert caplog.messages == [

@@ -31,12 +31,12 @@ def poller() -> Poller:
 def poll(poller: Poller, *outcomes: Any, now: float = 0.0) -> list[int]:
     """Poll once; each outcome stands for one request. Return the addresses that were asked."""
     poller.begin(now)
-    asked = []
+    requests = []
     for outcome in outcomes:
-        asked.append(poller.request.address)
+        requests.append(poller.request.address)
         poller.take_outcome(outcome, now)
     assert poller.request is None
-    return asked
+    return requests
 
 
 def test_after_each_silence_another_request_comes_first(poller: Poller) -> None:
@@ -52,13 +52,13 @@ def test_plans_for_sets_of_points_are_made_once_and_bounded() -> None:
     """Points with intervals of their own may be due together in thousands of sets."""
     points = RegisterMap(Point(f"p{at}", "holding_registers", at) for at in range(8))
     reads = DeviceConfig("meter", "tcp://192.0.2.1", points).reads
-    known: list[weakref.ref[PointPlan]] = []
+    plans: list[weakref.ref[PointPlan]] = []
     for number in range(1, 256):
         due = tuple(at for at in range(8) if number >> at & 1)
         plan = reads.plan_of(due)
         assert list(plan.names) == [f"p{at}" for at in due]
         assert reads.plan_of(due) is plan
-        known.append(weakref.ref(plan))
+        plans.append(weakref.ref(plan))
         if number == 64:
-            assert all(each() is not None for each in known)
-        assert sum(each() is not None for each in known) <= 64
+            assert all(each() is not None for each in plans)
+        assert sum(each() is not None for each in plans) <= 64

@@ -184,10 +184,10 @@ async def test_a_point_that_cannot_be_read_leads_to_a_poll_of_the_others() -> No
 @pytest.mark.parametrize("place", ["device", "url", "point"])
 def test_a_fleet_commands_a_device_that_takes_no_function_6(place: str) -> None:
     """The function is that of the point, of the device or of the URL."""
-    asked: list[Any] = []
+    requests: list[Any] = []
 
     def refuse(request: Any) -> None:
-        asked.append(request)
+        requests.append(request)
         raise IllegalFunction
 
     mapping = Mapping(holding_registers=10)
@@ -205,4 +205,4 @@ def test_a_fleet_commands_a_device_that_takes_no_function_6(place: str) -> None:
         asyncio.run(write(f"{url}?write_function=multiple" if place == "url" else url))
         with Client(url) as plc:
             assert plc.read_holding_registers(3, 1) == [9]
-    assert not asked
+    assert not requests

@@ -33,7 +33,7 @@ def told(values: list[Any], *, on_change: bool = False, band: float | None = Non
 
 
 @pytest.mark.parametrize(
-    ("options", "values", "expected"),
+    ("options", "values", "reports"),
     [
         ({}, [1, 1, 2], [1, 1, 2]),
         ({"on_change": True}, [1, 1, 2, 2, 1], [1, 2, 1]),
@@ -51,8 +51,8 @@ def told(values: list[Any], *, on_change: bool = False, band: float | None = Non
         ({"band": 1.0}, [[1, 5], [1.5, 5.5], [1.5, 6.5]], [[1, 5], [1.5, 6.5]]),
     ],
 )
-def test_a_value_is_reported_when_the_options_say_so(options, values, expected) -> None:
-    assert repr(told(values, **options)) == repr(expected)
+def test_a_value_is_reported_when_the_options_say_so(options, values, reports) -> None:
+    assert repr(told(values, **options)) == repr(reports)
 
 
 @pytest.mark.parametrize("options", [{}, {"on_change": True}, {"band": 5.0}])
@@ -111,7 +111,7 @@ def test_a_point_of_its_own_interval_is_reported_at_least_so_often() -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "expected"),
+    ("error", "is_so"),
     [
         (ModbusTimeoutError("no answer"), True),
         (ModbusConnectionError("lost"), True),
@@ -122,8 +122,8 @@ def test_a_point_of_its_own_interval_is_reported_at_least_so_often() -> None:
         (NoValue("level", "InvalidData", "has no value"), False),
     ],
 )
-def test_down_is_who_gives_no_answer(error: Exception, expected: bool) -> None:
-    assert is_down(error) is expected
+def test_down_is_who_gives_no_answer(error: Exception, is_so: bool) -> None:
+    assert is_down(error) is is_so
 
 
 def test_readings_as_text() -> None:
@@ -164,10 +164,10 @@ def test_readings_as_text() -> None:
 @pytest.mark.parametrize("number", [0, 7])
 def test_the_text_of_a_reading_is_its_object(value: Any, number: int) -> None:
     reading = Reading(1e9, "a", "b", value, "°C", "bad", 'No "value"', number, {"site": "ü"})
-    found = json.loads(object_text(reading))
+    row = json.loads(object_text(reading))
     time = "2001-09-09T01:46:40.000Z"
-    wanted = {"time": time, "value": value, "unit": "°C", "quality": "bad", "reason": 'No "value"'}
-    assert found == {**wanted, **({"id": number} if number else {}), "labels": {"site": "ü"}}
+    fields = {"time": time, "value": value, "unit": "°C", "quality": "bad", "reason": 'No "value"'}
+    assert row == {**fields, **({"id": number} if number else {}), "labels": {"site": "ü"}}
 
 
 def test_no_message_is_larger_than_asked_for() -> None:
@@ -229,10 +229,10 @@ def test_readings_have_values_by_what_they_mean() -> None:
 
 
 def test_a_reading_without_a_value_is_bad_and_has_a_reason() -> None:
-    found = values(5001, 255, 0, 0, 0xFFFF, 0x7FC0, 0)
-    assert found["v"] == (None, "bad", "Implausible")
-    assert found["state"] == (None, "bad", "Missing")
-    assert found["current"] == (None, "bad", "Missing")
+    readings = values(5001, 255, 0, 0, 0xFFFF, 0x7FC0, 0)
+    assert readings["v"] == (None, "bad", "Implausible")
+    assert readings["state"] == (None, "bad", "Missing")
+    assert readings["current"] == (None, "bad", "Missing")
     assert values(5001, 0, 0, 0, 300, 0x7F80, 0)["v"] == (None, "bad", "BadScale")
     assert values(5001, 0, 0, 0, 300, 0x7F80, 0)["current"] == (None, "bad", "Infinite")
 
@@ -241,8 +241,8 @@ def test_a_total_that_falls_is_told_when_it_was_read_again() -> None:
     polls = Polls()
 
     def total(value: int) -> list[tuple[Any, str, str]]:
-        found = polls.readings(1, 0, 0, value, 0, 0, 0)
-        return [(each.value, *each[5:7]) for each in found if each.name == "total"]
+        readings = polls.readings(1, 0, 0, value, 0, 0, 0)
+        return [(each.value, *each[5:7]) for each in readings if each.name == "total"]
 
     assert total(10) == [(10, "good", "")]
     assert total(3) == []

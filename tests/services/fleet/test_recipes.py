@@ -27,7 +27,7 @@ from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.cli.commands import parse_arguments
 from tests.services.fleet.fleets import LONGEST, until
 from tests.services.fleet.outputs.influxdb import Database
-from tests.support.commands import Started, ended
+from tests.support.commands import Started, run_forked
 from tests.support.programs import HeldPort, listens, missing, program
 
 if TYPE_CHECKING:
@@ -43,9 +43,9 @@ ADDRESS = "tcp://127.0.0.1:1502"
 @cache
 def sections() -> dict[str, list[tuple[str, str]]]:
     """Return the blocks below each heading, each with its language."""
-    found = re.split(r"^## (.+)$", PAGE.read_text(), flags=re.MULTILINE)
-    heads = ["", *found[1::2]]
-    texts = [found[0], *found[2::2]]
+    parts = re.split(r"^## (.+)$", PAGE.read_text(), flags=re.MULTILINE)
+    heads = ["", *parts[1::2]]
+    texts = [parts[0], *parts[2::2]]
     return {
         head: re.findall(r"^```(\w+)[^\n]*\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
         for head, text in zip(heads, texts, strict=True)
@@ -54,10 +54,10 @@ def sections() -> dict[str, list[tuple[str, str]]]:
 
 def block(section: str, language: str, containing: str = "") -> str:
     """Return the only block of a language in a section that contains a text."""
-    (found,) = [
+    (text_,) = [
         text for each, text in sections()[section] if each == language and containing in text
     ]
-    return found
+    return text_
 
 
 @pytest.fixture
@@ -87,11 +87,11 @@ def test_the_query_of_grafana_finds_a_line_for_each_device_in_influxdb(plant: Pa
         (create,) = re.findall(r"'q=(.*?)'", block(section, "sh"))
         database.ask(create)
         add(plant, block(section, "toml").replace("http://127.0.0.1:8086", database.url))
-        assert ended("poll", plant, "--once").code == 0
+        assert run_forked("poll", plant, "--once").code == 0
         # What Grafana puts in place of its variables.
         query = block(section, "sql").replace("$timeFilter", "time > now() - 1h")
-        (found,) = database.ask(query.replace("$__interval", "1h"))
-        assert found["mean"] == 230.5
+        (row,) = database.ask(query.replace("$__interval", "1h"))
+        assert row["mean"] == 230.5
         (tag,) = database.ask('SHOW TAG VALUES FROM "modbus" WITH KEY = "site"')
         assert tag["value"] == "Halle"
     finally:
@@ -103,7 +103,7 @@ def test_the_query_of_grafana_finds_a_line_for_each_device_in_influxdb(plant: Pa
 def test_prometheus_asks_for_the_values(plant: Path, tmp_path: Path) -> None:
     section = "Grafana with Prometheus"
     pytest.importorskip("prometheus_client")
-    with HeldPort() as metrics, HeldPort() as asked:
+    with HeldPort() as metrics, HeldPort() as port:
         served = f"127.0.0.1:{metrics.number}"
         settings = block(section, "yaml", "scrape_configs").replace("127.0.0.1:9400", served)
         (tmp_path / "prometheus.yml").write_text(settings.replace("5s", "50ms"))
@@ -113,23 +113,23 @@ def test_prometheus_asks_for_the_values(plant: Path, tmp_path: Path) -> None:
             program("prometheus"),
             "--config.file=prometheus.yml",
             "--storage.tsdb.path=data",
-            f"--web.listen-address=127.0.0.1:{asked.number}",
+            f"--web.listen-address=127.0.0.1:{port.number}",
         ]
         with (
             Started("poll", plant, "--metrics", served),
             subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL) as prometheus,
         ):
             try:
-                listens(prometheus, asked.number)
+                listens(prometheus, port.number)
                 query = urllib.parse.urlencode({"query": block(section, "text")})
-                (found,) = answered(f"http://127.0.0.1:{asked.number}/api/v1/query?{query}")
+                (sample,) = answer_of(f"http://127.0.0.1:{port.number}/api/v1/query?{query}")
             finally:
                 prometheus.terminate()
-    assert found["value"][1] == "230.5"
-    assert found["metric"]["device"] == "north"
+    assert sample["value"][1] == "230.5"
+    assert sample["metric"]["device"] == "north"
 
 
-def answered(url: str) -> list[dict[str, Any]]:
+def answer_of(url: str) -> list[dict[str, Any]]:
     """Return the result of a query, as soon as there is one."""
     for _ in range(int(LONGEST * 50)):
         try:
@@ -163,10 +163,10 @@ def test_telegraf_gets_lines_from_the_command_at_once(plant: Path) -> None:
 
 async def test_telegraf_reads_what_the_broker_gets(plant: Path, broker: Broker) -> None:
     (inputs,) = tomllib.loads(block("Telegraf", "toml", "mqtt_consumer"))["inputs"]["mqtt_consumer"]
-    heard = await heard_from(plant, broker, *inputs["topics"])
+    messages = await heard_from(plant, broker, *inputs["topics"])
     (parsing,) = inputs["topic_parsing"]
     assert [parsing["topic"]] == inputs["topics"]
-    for topic, payload in heard.items():
+    for topic, payload in messages.items():
         tags = dict(zip(parsing["tags"].split("/"), topic.split("/"), strict=True))
         assert tags["device"] == "north"
         assert tags["name"] in ("voltage", "setpoint")
@@ -176,7 +176,7 @@ async def test_telegraf_reads_what_the_broker_gets(plant: Path, broker: Broker) 
         when = payload[inputs["json_time_key"]]
         assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z", when)
         assert datetime.fromisoformat(when).tzinfo is not None
-    assert heard["plant/north/voltage"]["value"] == 230.5
+    assert messages["plant/north/voltage"]["value"] == 230.5
 
 
 async def heard_from(plant: Path, broker: Broker, *topics: str) -> dict[str, Any]:
@@ -184,11 +184,11 @@ async def heard_from(plant: Path, broker: Broker, *topics: str) -> dict[str, Any
     from tests.services.fleet.outputs.brokers import hearing  # MQTT's client is an extra
 
     add(plant, block("Node-RED", "toml").replace("mqtt://127.0.0.1", broker.url))
-    expected = 2 if topics == ("plant/+/+",) else len(topics)
+    count = 2 if topics == ("plant/+/+",) else len(topics)
     with Started("poll", plant):
-        async with hearing(broker, *topics) as heard:
-            await until(lambda: len({topic for topic, *_ in heard}) >= expected)
-            return {topic: payload for topic, payload, _ in heard}
+        async with hearing(broker, *topics) as messages:
+            await until(lambda: len({topic for topic, *_ in messages}) >= count)
+            return {topic: payload for topic, payload, _ in messages}
 
 
 async def test_node_red_reads_and_writes_topics_that_there_are(plant: Path, broker: Broker) -> None:
@@ -197,9 +197,9 @@ async def test_node_red_reads_and_writes_topics_that_there_are(plant: Path, brok
         assert {target for wires in node.get("wires", ()) for target in wires} <= nodes.keys()
     assert {nodes[each]["broker"] for each in ("in", "out")} == {"broker"}
     assert nodes["broker"]["type"] == "mqtt-broker"
-    heard = await heard_from(plant, broker, nodes["in"]["topic"])
+    messages = await heard_from(plant, broker, nodes["in"]["topic"])
     (rule,) = nodes["good"]["rules"]
-    good = [payload for payload in heard.values() if payload["quality"] == rule["v"]]
+    good = [payload for payload in messages.values() if payload["quality"] == rule["v"]]
     assert {payload["value"] for payload in good} == {230.5, 20.0}
     assert nodes["good"]["property"] == "payload.quality"
     assert nodes["show"]["complete"] == "payload.value"
@@ -212,12 +212,12 @@ async def test_the_button_of_node_red_writes(plant: Path, broker: Broker) -> Non
     topic = nodes["out"]["topic"]
     add(plant, block("Node-RED", "toml").replace("mqtt://127.0.0.1", broker.url))
     with Started("poll", plant):
-        async with hearing(broker, "plant/north/setpoint", f"{topic}/result") as heard:
+        async with hearing(broker, "plant/north/setpoint", f"{topic}/result") as messages:
             # A reading is published after the output has subscribed to commands.
-            await until(lambda: "plant/north/setpoint" in [each[0] for each in heard])
+            await until(lambda: "plant/north/setpoint" in [each[0] for each in messages])
             await publish(broker, topic, nodes["button"]["payload"].encode())
-            await until(lambda: f"{topic}/result" in [each[0] for each in heard])
-            (result,) = [payload for each, payload, _ in heard if each == f"{topic}/result"]
+            await until(lambda: f"{topic}/result" in [each[0] for each in messages])
+            (result,) = [payload for each, payload, _ in messages if each == f"{topic}/result"]
     assert result["ok"] is True
 
 
@@ -247,13 +247,13 @@ async def test_home_assistant_finds_a_device_that_goes_in_a_reload(plant: Path, 
 def test_a_file_that_logrotate_renames_is_begun_anew(plant: Path, hangs_up: bool) -> None:
     section = "Rotate files of readings"
     path = plant.parent / "readings.csv"
-    (named,) = re.findall(r'path = "(.*)"', block(section, "toml"))
+    (place,) = re.findall(r'path = "(.*)"', block(section, "toml"))
     settings = block(section, "text")
-    assert settings.startswith(f"{named} {{")
+    assert settings.startswith(f"{place} {{")
     # Renames, leaves no file behind, and compresses what was renamed the time before.
     assert {"nocreate", "delaycompress"} <= set(settings.split())
     assert not {"copytruncate", "create"} & set(settings.split())
-    add(plant, block(section, "toml").replace(named, path.name) + "[output.json]\n")
+    add(plant, block(section, "toml").replace(place, path.name) + "[output.json]\n")
     with Started("poll", plant) as started:
         printed = [started.stdout.readline() for _ in range(4)]
         old = path.rename(path.with_suffix(".csv.1"))
@@ -265,14 +265,14 @@ def test_a_file_that_logrotate_renames_is_begun_anew(plant: Path, hangs_up: bool
         started.send_signal(signal.SIGTERM)
         printed += started.stdout.readlines()
         assert started.wait() == 0
-    found = []
+    readings = []
     for each in (old, path):
         with each.open(newline="") as file:
             header, *rows = csv.reader(file, strict=True)
         assert header[:3] == ["time", "device", "name"]
         assert rows
-        found += [(row[0], row[2]) for row in rows]
-    assert found == [(line["time"], line["name"]) for line in map(json.loads, printed)]
+        readings += [(row[0], row[2]) for row in rows]
+    assert readings == [(line["time"], line["name"]) for line in map(json.loads, printed)]
 
 
 def test_the_container_starts_a_command_that_there_is() -> None:

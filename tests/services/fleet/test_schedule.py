@@ -40,27 +40,27 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, int]]] = {
 
 
 def counted(statistics: FleetStatistics) -> dict[str, int]:
-    found = {each.name: getattr(statistics, each.name) for each in fields(statistics)}
-    return {name: value for name, value in found.items() if name in COUNTED and value}
+    counts = {each.name: getattr(statistics, each.name) for each in fields(statistics)}
+    return {name: value for name, value in counts.items() if name in COUNTED and value}
 
 
 @pytest.mark.parametrize("name", CASES)
 @in_simulated_time
 async def test_each_poll_counts_once(name: str) -> None:
-    given, expected = CASES[name]
+    options, counts = CASES[name]
     plant = Plant()
-    plant.refusing = given.get("refusing", set())
-    plant.delay = given.get("delay", plant.delay)
+    plant.refusing = options.get("refusing", set())
+    plant.delay = options.get("delay", plant.delay)
     interval = 0.3
-    device = plant.device(1, given.get("points", ONE), interval=interval)
-    async with plant.polls(device, may_ask=given.get("may_ask")):
+    device = plant.device(1, options.get("points", ONE), interval=interval)
+    async with plant.polls(device, may_ask=options.get("may_ask")):
         # The first poll is at a time of its own within the interval.
         while not (plant.asked or plant.fleet.statistics.vetoes):
             await asyncio.sleep(LOOK)
         await asyncio.sleep(3.4 * interval)
         statistics = plant.fleet.statistics
         assert statistics.devices == 1
-        assert counted(statistics) == expected
+        assert counted(statistics) == counts
         begun = statistics.vetoes or sum(address == 0 for _, _, address in plant.asked)
         assert sum(statistics.lateness) == begun
 

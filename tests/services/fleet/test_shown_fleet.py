@@ -32,22 +32,22 @@ def shown_fleet(
     return fleet, ShownFleet("plant", fleet, page), page
 
 
-def rows(shown: ShownFleet) -> dict[str, Any]:
+def rows(view: ShownFleet) -> dict[str, Any]:
     """Return the rows by their names."""
-    names = [(row.cells()["name"], row) for row in shown.rows()]
+    names = [(row.cells()["name"], row) for row in view.rows()]
     return {f"{name['group']} {name['own']}".strip(): row for name, row in names}
 
 
-def cells(shown: ShownFleet) -> dict[str, dict[str, Any]]:
-    return {name: row.cells() for name, row in rows(shown).items()}
+def cells(view: ShownFleet) -> dict[str, dict[str, Any]]:
+    return {name: row.cells() for name, row in rows(view).items()}
 
 
-def problems(shown: ShownFleet) -> list[str]:
-    return [name for name, row in rows(shown).items() if row.is_problem]
+def problems(view: ShownFleet) -> list[str]:
+    return [name for name, row in rows(view).items() if row.is_problem]
 
 
-def value(shown: ShownFleet, name: str) -> list[str]:
-    value: dict[str, str] = cells(shown).get(name, {}).get("value", {})
+def value(view: ShownFleet, name: str) -> list[str]:
+    value: dict[str, str] = cells(view).get(name, {}).get("value", {})
     return [*value.values()]
 
 
@@ -63,38 +63,38 @@ async def test_values_and_devices_also_of_one_that_is_down() -> None:
 
     async with Peer(answer) as peer:
         devices = [meter(name, peer.url, unit=unit, timeout=0.1) for unit, name in PAIR]
-        fleet, shown, _ = shown_fleet(*devices)
-        assert shown.rows() == []
+        fleet, view, _ = shown_fleet(*devices)
+        assert view.rows() == []
         async with fleet:
-            assert shown.status() == ("2 of 2 devices have not answered yet (a, b)", True)
-            await until(lambda: value(shown, "b power") == ["7", "W"])
-            await until(lambda: shown.status() == ("all 2 devices answer", False))
+            assert view.status() == ("2 of 2 devices have not answered yet (a, b)", True)
+            await until(lambda: value(view, "b power") == ["7", "W"])
+            await until(lambda: view.status() == ("all 2 devices answer", False))
             place = peer.url.partition("?")[0]
-            assert list(rows(shown))[:2] == ["a", "a voltage"]
-            assert rows(shown)["b"].words == f"b {place}"
-            assert state_of(cells(shown)["b power"]) == ["good", "", 0]
-            up, told = cells(shown)["b"], fleet.devices["b"]
+            assert list(rows(view))[:2] == ["a", "a voltage"]
+            assert rows(view)["b"].words == f"b {place}"
+            assert state_of(cells(view)["b power"]) == ["good", "", 0]
+            up, device = cells(view)["b"], fleet.devices["b"]
             assert name_of(up) == ["b", f"{place}, unit 2"]
-            assert state_of(up) == ["up", "", round(told.since, 1)]
+            assert state_of(up) == ["up", "", round(device.since, 1)]
             assert up["value"] == {"text": "3 points", "units": "every 0.1 s"}
-            assert 0 < told.since <= told.answered_at
-            assert up["age"] == round(told.answered_at, 1)
-            assert problems(shown) == []
+            assert 0 < device.since <= device.answered_at
+            assert up["age"] == round(device.answered_at, 1)
+            assert problems(view) == []
 
             silent.add(2)
             await until(lambda: fleet.statistics.down == 1)
-            await until(lambda: state_of(cells(shown)["b power"])[0] == "down")
-            assert shown.status() == ("1 of 2 devices down (b)", True)
-            word, reason, since = state_of(cells(shown)["b"])
+            await until(lambda: state_of(cells(view)["b power"])[0] == "down")
+            assert view.status() == ("1 of 2 devices down (b)", True)
+            word, reason, since = state_of(cells(view)["b"])
             assert word == "down"
             assert "no " in reason
             assert not any(text in reason for text in ("function", "ModbusTimeout"))
             assert since >= state_of(up)[2]
-            assert problems(shown) == ["b"]  # and not each of its points
-            assert value(shown, "b power") == ["-", "W"]
+            assert problems(view) == ["b"]  # and not each of its points
+            assert value(view, "b power") == ["-", "W"]
 
             silent.clear()
-            await until(lambda: value(shown, "b power") == ["7", "W"])
+            await until(lambda: value(view, "b power") == ["7", "W"])
 
 
 # Points that answers of all zeros cannot be: none is implausible, and none is a number.
@@ -120,15 +120,15 @@ async def test_points_without_a_good_value_are_named_though_all_devices_answer()
 
     async with Peer(answer) as peer:
         device = meter("a", peer.url, map=BAD)
-        fleet, shown, _ = shown_fleet(device, meter("b", peer.url, unit=2))
+        fleet, view, _ = shown_fleet(device, meter("b", peer.url, unit=2))
         registry = CollectorRegistry()
         collect(fleet, registry=registry)
         labels = {"device": "a", "name": "level", "reason": "Missing"}
         async with fleet:
             await until(lambda: fleet.statistics.polls > 4)
             text = "points without a good value: 2 (a level, a ratio)"
-            assert shown.status() == (text, True)
-            assert problems(shown) == ["a level", "a ratio"]
+            assert view.status() == (text, True)
+            assert problems(view) == ["a level", "a ratio"]
             assert fleet.devices["a"].bad_points == {"level": "Missing", "ratio": "Missing"}
             assert registry.get_sample_value("modbus_fleet_bad_point", labels) == 1
             flow = {"device": "a", "name": "flow", "unit": ""}
@@ -152,73 +152,73 @@ async def test_an_output_is_behind_when_a_batch_has_not_been_all_that_waits_for_
     monkeypatch.setattr(statistics, "time", SimpleNamespace(monotonic=now))
     slow = FakeOutput("database", next=[30.0, 30.0])
     async with Peer() as peer:
-        fleet, shown, _ = shown_fleet(meter("a", peer.url), outputs=[slow])
+        fleet, view, _ = shown_fleet(meter("a", peer.url), outputs=[slow])
         async with fleet:
-            await until(lambda: shown.status() == ("all 1 devices answer", False))
-            begun = now()
-            await until(lambda: shown.status()[1])
-            assert 9 < now() - begun < 11
-            text, _ = shown.status()
+            await until(lambda: view.status() == ("all 1 devices answer", False))
+            start = now()
+            await until(lambda: view.status()[1])
+            assert 9 < now() - start < 11
+            text, _ = view.status()
             assert re.fullmatch(r"output database is behind: [23]\d\d waiting", text), text
-            assert problems(shown) == ["output database"]
-            assert state_of(cells(shown)["output database"]) == ["behind", "", 0]
+            assert problems(view) == ["output database"]
+            assert state_of(cells(view)["output database"]) == ["behind", "", 0]
             await until(lambda: slow.batches[1:])
-            await until(lambda: not shown.status()[1])
+            await until(lambda: not view.status()[1])
 
 
 @in_simulated_time
 async def test_an_output_shows_what_waits_since_when_and_why() -> None:
     async with Peer() as peer:
         away = FakeOutput("database", is_away=True)
-        fleet, shown, _ = shown_fleet(meter("a", peer.url), outputs=[away])
+        fleet, view, _ = shown_fleet(meter("a", peer.url), outputs=[away])
         async with fleet:
             await until(lambda: fleet.statistics.outputs["database"].waiting > 20)
-            assert next(iter(rows(shown))) == "output database"
-            assert "page" not in rows(shown)
-            first = cells(shown)["output database"]
+            assert next(iter(rows(view))) == "output database"
+            assert "page" not in rows(view)
+            first = cells(view)["output database"]
             assert state_of(first)[:2] == ["fails", "Connection refused"]
             assert int(first["value"]["text"]) > 20
             assert first["value"]["units"] == "waiting"
             failures = fleet.statistics.outputs["database"].failures
             await until(lambda: fleet.statistics.outputs["database"].failures > failures + 1)
-            assert state_of(cells(shown)["output database"]) == state_of(
+            assert state_of(cells(view)["output database"]) == state_of(
                 first
             )  # since the first failure
             assert state_of(first)[2] > 0
-            assert problems(shown) == ["output database"]
-            assert shown.status() == ("output database fails", True)
+            assert problems(view) == ["output database"]
+            assert view.status() == ("output database fails", True)
             away.is_away = False
             await until(lambda: away.accepted)
-            await until(lambda: state_of(cells(shown)["output database"]) == ["works", "", 0])
-            assert problems(shown) == []
+            await until(lambda: state_of(cells(view)["output database"]) == ["works", "", 0])
+            assert problems(view) == []
 
 
 def test_a_journal_that_fails_is_a_problem() -> None:
-    fleet, shown, _ = shown_fleet()
+    fleet, view, _ = shown_fleet()
     fleet.statistics.journal = JournalStatistics()
     fleet.statistics.journal.bytes = 12_345_678
-    assert state_of(cells(shown)["journal"]) == ["works", "", 0]
-    assert cells(shown)["journal"]["value"] == {"text": "12.3", "units": "MB"}
-    assert problems(shown) == []
+    assert state_of(cells(view)["journal"]) == ["works", "", 0]
+    assert cells(view)["journal"]["value"] == {"text": "12.3", "units": "MB"}
+    assert problems(view) == []
     fleet.statistics.journal.trouble = "No space left on device"
-    assert problems(shown) == ["journal"]
-    assert state_of(cells(shown)["journal"]) == ["fails", "No space left on device", 0]
-    assert shown.status() == ("journal fails", True)
+    assert problems(view) == ["journal"]
+    assert state_of(cells(view)["journal"]) == ["fails", "No space left on device", 0]
+    assert view.status() == ("journal fails", True)
 
 
 @in_simulated_time
 async def test_a_value_that_is_only_reported_when_it_changes_is_as_old_as_the_last_poll() -> None:
     async with Peer() as peer:
-        fleet, shown, _ = shown_fleet(meter("a", peer.url, on_change=True))
+        fleet, view, _ = shown_fleet(meter("a", peer.url, on_change=True))
         async with fleet:
-            await until(lambda: value(shown, "a power") == ["7", "W"])
-            row = rows(shown)["a power"]
+            await until(lambda: value(view, "a power") == ["7", "W"])
+            row = rows(view)["a power"]
             polls = fleet.statistics.polls
             await until(lambda: fleet.statistics.polls > polls + 3)
-            answered = fleet.devices["a"].answered_at
-            assert answered > row.reading[0]
-            assert row.cells()["age"] == round(answered, 1)
-            series = shown.series(("a", "power"), "last values")
+            answer_time = fleet.devices["a"].answered_at
+            assert answer_time > row.reading[0]
+            assert row.cells()["age"] == round(answer_time, 1)
+            series = view.series(("a", "power"), "last values")
             assert series is not None
             assert series.samples.every is None
 
@@ -226,28 +226,28 @@ async def test_a_value_that_is_only_reported_when_it_changes_is_as_old_as_the_la
 @in_simulated_time
 async def test_devices_that_are_replaced_while_somebody_looks() -> None:
     async with Peer() as peer:
-        fleet, shown, _ = shown_fleet(meter("a", peer.url), meter("b", peer.url, unit=2))
+        fleet, view, _ = shown_fleet(meter("a", peer.url), meter("b", peer.url, unit=2))
         async with fleet:
-            await until(lambda: value(shown, "b power") == ["7", "W"])
-            row = rows(shown)["b power"]
+            await until(lambda: value(view, "b power") == ["7", "W"])
+            row = rows(view)["b power"]
             assert row.samples.every == 0.1
             fleet.replace([meter("b", peer.url, unit=2), meter("c", peer.url, unit=3)])
-            await until(lambda: "c power" in rows(shown))
-            assert "a" not in rows(shown)
-            assert "a power" not in rows(shown)
-            assert rows(shown)["b power"] is row  # with all its samples
-            assert value(shown, "b power") == ["7", "W"]
+            await until(lambda: "c power" in rows(view))
+            assert "a" not in rows(view)
+            assert "a power" not in rows(view)
+            assert rows(view)["b power"] is row  # with all its samples
+            assert value(view, "b power") == ["7", "W"]
 
 
 @in_simulated_time
 async def test_a_look_from_another_thread_does_not_disturb_a_fleet_that_changes() -> None:
     is_over: list[bool] = []
     async with Peer() as peer:
-        fleet, shown, output = shown_fleet()
+        fleet, view, output = shown_fleet()
 
         def look() -> None:
             while not is_over:
-                cells(shown), shown.status(), shown.figures()
+                cells(view), view.status(), view.figures()
 
         async with fleet:
             looking = asyncio.create_task(asyncio.to_thread(look))
@@ -256,4 +256,4 @@ async def test_a_look_from_another_thread_does_not_disturb_a_fleet_that_changes(
                 await output.write_readings([])
             is_over.append(True)
             await looking
-            assert cells(shown) == {}
+            assert cells(view) == {}

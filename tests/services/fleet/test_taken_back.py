@@ -43,8 +43,8 @@ async def test_of_a_device_that_stays_only_points_that_are_gone_are_taken_back()
         fleet.replace([meter("a", peer.url, items=("power",), interval=0.2)])
         polls = fleet.statistics.polls
         await until(lambda: fleet.statistics.polls > polls + 1)
-        gone = [each.name for each in readings if each.quality == "offline"]
-        assert gone == ["voltage", "setpoint"]
+        names = [each.name for each in readings if each.quality == "offline"]
+        assert names == ["voltage", "setpoint"]
         assert readings[-1][2:6] == ("power", 7, "W", "good")
 
 

@@ -11,7 +11,7 @@ from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, si
 from tests.support.cases import each_case
 
 
-async def tried(*devices: object) -> dict[str, TrialPoll]:
+async def trials(*devices: object) -> dict[str, TrialPoll]:
     return {each.device.name: each async for each in trial_polls(devices)}  # type: ignore[arg-type]
 
 
@@ -25,29 +25,29 @@ async def test_the_time_of_each_poll_is_told() -> None:
         first, second = (
             meter(name, peer.url, unit=unit, timeout=9) for unit, name in ((1, "a"), (2, "b"))
         )
-        found = await tried(first, second)
-    assert found["a"].seconds == pytest.approx(2, abs=0.01)
-    assert found["b"].seconds == pytest.approx(3, abs=0.01)
-    assert {each.problem for each in found.values()} == {""}
+        results = await trials(first, second)
+    assert results["a"].seconds == pytest.approx(2, abs=0.01)
+    assert results["b"].seconds == pytest.approx(3, abs=0.01)
+    assert {each.problem for each in results.values()} == {""}
 
 
 @in_simulated_time
 async def test_a_device_has_one_request_at_a_time() -> None:
-    asked: set[bytes] = set()
+    requests: set[bytes] = set()
     most = 0
 
     async def slow(request: bytes) -> bytes:
         nonlocal most
-        asked.add(request)
-        most = max(most, len(asked))
+        requests.add(request)
+        most = max(most, len(requests))
         await asyncio.sleep(0.1)
-        asked.remove(request)
+        requests.remove(request)
         return await good(request)
 
     points = [Point(f"p{place}", "holding_registers", place) for place in (0, 500, 1000)]
     async with Peer(slow) as peer:
-        found = await tried(meter("a", peer.url, map=RegisterMap(points)))
-    assert (found["a"].requests, found["a"].problem, most) == (3, "", 1)
+        results = await trials(meter("a", peer.url, map=RegisterMap(points)))
+    assert (results["a"].requests, results["a"].problem, most) == (3, "", 1)
 
 
 @in_simulated_time
@@ -59,7 +59,7 @@ async def test_the_first_of_the_values_that_cannot_be_is_told() -> None:
 
     async with Server({1: device}).serving("tcp://127.0.0.1:0") as running:
         url = running.urls[0]
-        found = await tried(
+        results = await trials(
             meter("both", url, map=RegisterMap(points)),
             meter("last", url, map=RegisterMap(points[::2])),
             meter("none", url, map=RegisterMap(points[:1])),
@@ -67,10 +67,10 @@ async def test_the_first_of_the_values_that_cannot_be_is_told() -> None:
         )
     wrong = "has no value: {} has digits other than 0..9"
     count = "points without a good value: 2 of 3"
-    assert found["both"].problem == f"p1 {wrong.format('0A00')}; {count}"
-    assert found["last"].problem == f"p2 {wrong.format('00B0')}"
-    assert found["not a number"].problem == "ratio has no value: the device says nan"
-    assert found["none"].problem == ""
+    assert results["both"].problem == f"p1 {wrong.format('0A00')}; {count}"
+    assert results["last"].problem == f"p2 {wrong.format('00B0')}"
+    assert results["not a number"].problem == "ratio has no value: the device says nan"
+    assert results["none"].problem == ""
 
 
 @in_simulated_time
@@ -82,9 +82,9 @@ async def test_a_trial_that_is_left_after_its_first_result_leaves_no_task() -> N
         trial = trial_polls([meter("good", good.urls[0]), meter("dead", peer.url, timeout=60)])
         first = await anext(trial)
         assert first.device.name == "good"
-        begun = asyncio.get_running_loop().time()
+        start = asyncio.get_running_loop().time()
         await trial.aclose()
-        assert asyncio.get_running_loop().time() == begun
+        assert asyncio.get_running_loop().time() == start
         assert peer.requests
         assert not [task for task in asyncio.all_tasks() if "_try_line" in repr(task)]
 
@@ -100,22 +100,22 @@ async def test_a_defect_ends_the_trial(monkeypatch: pytest.MonkeyPatch) -> None:
     async with Peer() as peer, Peer(silent) as dead:
         devices = meter("a", peer.url), meter("b", dead.url, timeout=60)
         with pytest.raises(RuntimeError, match="a defect"):
-            await tried(*devices)
+            await trials(*devices)
 
 
 @in_simulated_time
 async def test_devices_that_do_not_answer_are_told_with_the_reason() -> None:
     async with Peer() as peer, Peer(silent) as dead:
-        found = await tried(
+        results = await trials(
             meter("good", peer.url),
             meter("dead", f"{dead.url}?timeout=0.1"),
             meter("dead too", f"{dead.url}?timeout=0.1", unit=2),
             meter("gone", "tcp://127.0.0.1:1"),
         )
-    assert (found["good"].problem, found["good"].requests) == ("", 1)
-    assert "no answer within 0.1 s" in found["dead"].problem
-    assert "refused" in found["gone"].problem
-    assert len(found) == 4
+    assert (results["good"].problem, results["good"].requests) == ("", 1)
+    assert "no answer within 0.1 s" in results["dead"].problem
+    assert "refused" in results["gone"].problem
+    assert len(results) == 4
 
 
 # Of RTU: a frame of 8 bytes, one of 5 + 6, and 7 characters of silence, 11 bits each. Of ASCII:
@@ -125,7 +125,7 @@ ASCII_S = (17 + 2 * 10 + 3) * 10 / 9600
 
 
 @each_case(
-    ("url", "intervals", "said"),
+    ("url", "intervals", "message"),
     [
         (RTU, [0.05], ""),
         (RTU, [0.02], "line rtu:///dev/x at 9600: 0.0298 s of requests each 0.02 s"),
@@ -137,11 +137,11 @@ ASCII_S = (17 + 2 * 10 + 3) * 10 / 9600
         (RTU, [0.1, *[0.2] * 7], "line rtu:///dev/x at 9600: 0.134 s of requests each 0.1 s"),
     ],
 )
-def test_lines_that_cannot_keep_their_intervals(url, intervals, said) -> None:
+def test_lines_that_cannot_keep_their_intervals(url, intervals, message) -> None:
     devices = [
         meter(f"{unit}", url, unit=unit, interval=each) for unit, each in enumerate(intervals, 1)
     ]
-    assert overloads(devices) == ([said] if said else [])
+    assert overloads(devices) == ([message] if message else [])
 
 
 def test_a_line_is_loaded_by_what_is_due() -> None:

@@ -15,11 +15,11 @@ from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.services.gateway.line import NO_ANSWER, ForwardedRequest, GatewayLine, request_of
 from libmodbus_py.services.gateway.routes import GatewayOptions
 from libmodbus_py.services.gateway.statistics import LineStatistics
-from tests.simulation.given import giving
+from tests.simulation.lan import Lan
 from tests.simulation.network import Network
+from tests.simulation.runner import runner_of
 from tests.simulation.scripted import Scripted, Write
-from tests.simulation.stage import Stage
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 
 READ_ONE = bytes.fromhex("03 0000 0001")
 
@@ -38,7 +38,7 @@ def small() -> Device:
 class Gate:
     """Unit 1 on the line behind a gateway, which answers from when it is opened on."""
 
-    def __init__(self, stage: Stage) -> None:
+    def __init__(self, lan: Lan) -> None:
         self.asked: list[int] = []
         self.kinds: list[str] = []
         self._device = Device(Mapping(10, 10, 10, 10))
@@ -46,12 +46,12 @@ class Gate:
         self._framer = framing.make_framer("rtu", "server")
         self._is_open = False
         self._held: list[tuple[bytes, Write]] = []
-        Scripted(stage, LINE, self._take)
+        Scripted(lan, LINE, self._take)
 
     def open(self) -> None:
         self._is_open = True
-        held, self._held = self._held, []
-        for request, write in held:
+        answers, self._held = self._held, []
+        for request, write in answers:
             self._answer(request, write)
 
     def _take(self, request: bytes, write: Write) -> None:
@@ -68,13 +68,14 @@ class Gate:
 
 
 @contextlib.contextmanager
-def gated(stage: Stage, route: dict[str, Any] | None = None, **options: Any) -> Iterator[Gated]:
+def gated(lan: Lan, route: dict[str, Any] | None = None, **options: Any) -> Iterator[Gated]:
     """A gateway before a gate, with its line and where clients find it."""
-    gate = Gate(stage)
-    made = Gateway([Route(f"{LINE}?timeout=1000", **(route or {}))], longest_wait=5000, **options)
-    with made.background("tcp://10.0.0.1:0") as running:
-        (line,) = made.traffic.lines.values()
-        yield Gated(gate, line, running.urls[0], made)
+    gate = Gate(lan)
+    routes = [Route(f"{LINE}?timeout=1000", **(route or {}))]
+    gateway_ = Gateway(routes, longest_wait=5000, **options)
+    with gateway_.background("tcp://10.0.0.1:0") as running:
+        (line,) = gateway_.traffic.lines.values()
+        yield Gated(gate, line, running.urls[0], gateway_)
 
 
 class Gated(NamedTuple):
@@ -92,9 +93,9 @@ def numbered(number: int) -> Device:
 
 @contextlib.contextmanager
 def gateway(routes: list[Route], *urls: str, **options: Any) -> Iterator[tuple[Gateway, str]]:
-    made = Gateway(routes, **options)
-    with made.background(*(urls or ("tcp://127.0.0.1:0",))) as running:
-        yield made, running.urls[0]
+    gateway_ = Gateway(routes, **options)
+    with gateway_.background(*(urls or ("tcp://127.0.0.1:0",))) as running:
+        yield gateway_, running.urls[0]
 
 
 READ, WRITE, UNKNOWN = "03 0000 0001", "06 0000 0007", "08 0000 0001"
@@ -188,14 +189,14 @@ class Plant:
         return self.line.statistics.unit
 
 
-def on_line(*given: str, **options: Any) -> Callable[[Any], Any]:
+def on_line(*urls: str, **options: Any) -> Callable[[Any], Any]:
     """Let a test run on a plant, its first argument, in simulated time."""
 
     def run(test: Callable[[Plant], Awaitable[None]]) -> None:
-        plant = Plant(*given, **options)
+        plant = Plant(*urls, **options)
         plant.run(lambda: test(plant))
 
-    return giving(run)
+    return runner_of(run)
 
 
 def answer_of(unit: int, number: int) -> str:

@@ -19,8 +19,8 @@ from libmodbus_py import (
 )
 from tests.services.gateway.gates import small
 from tests.simulation.attackers import Attackers, Innocent
+from tests.simulation.lan import Lan
 from tests.simulation.scripted import Scripted, Write
-from tests.simulation.stage import Stage
 from tests.support.attacks import ATTACKS, UNIT, Attack
 from tests.support.gateways import passage
 
@@ -28,23 +28,24 @@ OVER_TCP = [attack for attack in ATTACKS if attack.scheme == "tcp"]
 
 
 @pytest.mark.parametrize("attack", OVER_TCP, ids=lambda attack: attack.name.replace(" ", "-"))
-def test_an_innocent_client_waits_for_few_of_the_others(stage: Stage, attack: Attack) -> None:
+def test_an_innocent_client_waits_for_few_of_the_others(lan: Lan, attack: Attack) -> None:
     """Counted in requests to the device: a refused one costs it nothing."""
     device = Server({UNIT: Device(Mapping(holding_registers=2000))})
     with device.background("tcp://10.0.0.9:0") as behind:
-        made = Gateway([Route(f"{behind.urls[0]}?timeout=5")], limits=Limits(max_connections=1500))
-        with made.background("tcp://10.0.0.1:0") as running:
-            client = stage.talk(running.urls[0])
-            innocent = Innocent(stage, client, lambda: device.statistics.requests)
+        routes = [Route(f"{behind.urls[0]}?timeout=5")]
+        gateway = Gateway(routes, limits=Limits(max_connections=1500))
+        with gateway.background("tcp://10.0.0.1:0") as running:
+            client = lan.client(running.urls[0])
+            innocent = Innocent(lan, client, lambda: device.statistics.requests)
             assert innocent.poll(3).others == [0] * 3
-            with Attackers(stage, attack, running.urls[0]) as attackers:
-                assert stage.until(lambda: attackers.all_attack, 10)
+            with Attackers(lan, attack, running.urls[0]) as attackers:
+                assert lan.until(lambda: attackers.all_attack, 10)
                 waited = innocent.poll(3, among=attackers)
             # Each host has one turn; what is in flight when it comes, and sent next, goes before.
             assert max(waited.others) <= 2 + attack.connections
-            assert stage.until(lambda: made.statistics.connections == 1)
+            assert lan.until(lambda: gateway.statistics.connections == 1)
             assert innocent.poll(3).others == [0] * 3
-            (line,) = made.traffic.lines.values()
+            (line,) = gateway.traffic.lines.values()
             assert line.waiting == line.in_flight == 0
 
 
@@ -59,43 +60,43 @@ ANYTHING: dict[str, Callable[[bytes], bytes]] = {
 
 
 @pytest.mark.parametrize("what", ANYTHING)
-def test_a_device_that_says_anything_has_nothing_of_it_passed_on(stage: Stage, what: str) -> None:
+def test_a_device_that_says_anything_has_nothing_of_it_passed_on(lan: Lan, what: str) -> None:
     """Invalid responses become exception 0B; unasked ones, and those for others, are dropped."""
 
     def answer(request: bytes, write: Write) -> None:
         is_second = len(device.requests) == 2
         write(ANYTHING[what](request) if is_second else request[:2] + b"\0\0\0\5\1\3\2\0\7")
 
-    device = Scripted(stage, "tcp://10.0.0.9:0", answer)
-    made = Gateway([Route(f"{device.url}?timeout=3&max_pause=1")])
+    device = Scripted(lan, "tcp://10.0.0.9:0", answer)
+    gateway = Gateway([Route(f"{device.url}?timeout=3&max_pause=1")])
     with (
-        made.background("tcp://10.0.0.1:0") as running,
+        gateway.background("tcp://10.0.0.1:0") as running,
         Client(running.urls[0], unit=1, timeout=50) as context,
     ):
         assert context.read_holding_registers(0, 1) == [7]
-        asked = stage.now
+        start = lan.now
         with pytest.raises(GatewayTargetFailedToRespond):
             context.read_holding_registers(0, 1)
-        assert stage.now - asked <= 3.01
+        assert lan.now - start <= 3.01
 
         def answers_again() -> bool:
             try:
                 return context.read_holding_registers(0, 1) == [7]
             except GatewayTargetFailedToRespond:
-                stage.pass_time(1)
+                lan.pass_time(1)
                 return False
 
         assert any(answers_again() for _ in range(60))
 
 
-def test_floods_from_many_connections_leave_a_line_to_everybody(stage: Stage) -> None:
+def test_floods_from_many_connections_leave_a_line_to_everybody(lan: Lan) -> None:
     """As much as goes on eight connections of a host, and one client that asks in turn."""
     request = b"\0\1\0\0\0\6\1\3\0\0\0\1"
     with (
-        passage("tcp", "rtu", {1: small()}, stage=stage) as through,
+        passage("tcp", "rtu", {1: small()}, lan=lan) as through,
         through.context(1, timeout=20) as context,
     ):
-        floods = [stage.talk(through.url, "10.0.0.2") for _ in range(8)]
+        floods = [lan.client(through.url, "10.0.0.2") for _ in range(8)]
         (line,) = through.gateway.traffic.lines.values()
         for _ in range(10):
             for flood in floods:

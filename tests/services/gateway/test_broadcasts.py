@@ -15,116 +15,116 @@ from libmodbus_py import (
     Server,
 )
 from tests.services.gateway.gates import LINE, gateway, small
+from tests.simulation.lan import Lan
 from tests.simulation.scripted import Scripted
-from tests.simulation.stage import Stage
 from tests.support.gateways import passage
 from tests.support.peers import until
 
 
 @pytest.mark.parametrize("front", ["tcp", "udp", "rtu+tcp"])
-def test_a_broadcast_reaches_every_unit_of_every_line(stage: Stage, front: str) -> None:
+def test_a_broadcast_reaches_every_unit_of_every_line(lan: Lan, front: str) -> None:
     devices = [small() for _ in range(4)]
     first, second = "rtu:///dev/first", "ascii:///dev/second"
     with (
         Server({1: devices[0], 2: devices[1]}).background(first),
         Server({3: devices[2], 4: devices[3]}).background(second),
         gateway([Route(first, "1-2"), Route(second, "3-4")], f"{front}://10.0.0.1:0") as (
-            made,
+            gateway_,
             url,
         ),
         Client(url, unit=0, timeout=5) as context,
     ):
         context.write_registers(2, [8, 9])
-        stage.pass_time(0.1)
+        lan.pass_time(0.1)
         assert all(each.mapping.holding_registers[2:4] == [8, 9] for each in devices)
-        assert made.traffic.broadcasts == 1
+        assert gateway_.traffic.broadcasts == 1
         if front != "rtu+tcp":  # there a client knows that nobody answers
             with pytest.raises(GatewayPathUnavailable):
                 context.read_holding_registers(0, 1)
 
 
 @pytest.mark.parametrize("is_there", [True, False])
-def test_a_broadcast_that_a_line_did_not_take_is_not_reported_done(stage: Stage, is_there) -> None:
+def test_a_broadcast_that_a_line_did_not_take_is_not_reported_done(lan: Lan, is_there) -> None:
     if not is_there:
-        stage.unreachable.add("10.0.0.9")
+        lan.unreachable.add("10.0.0.9")
     with (
         gateway([Route("rtu+tcp://10.0.0.9:5020?timeout=300", "1")]) as (_, url),
         Client(url, unit=0, timeout=5000) as context,
         pytest.raises(GatewayTargetFailedToRespond),
     ):
         context.write_register(0, 1)
-    assert (stage.now >= 1300) == (not is_there)
+    assert (lan.now >= 1300) == (not is_there)
 
 
-def test_a_broadcast_is_done_when_all_lines_have_sent_it(stage: Stage) -> None:
+def test_a_broadcast_is_done_when_all_lines_have_sent_it(lan: Lan) -> None:
     """One sends it at once; the other, a server that takes unit 0 for one, never answers."""
     device = small()
-    mute = Scripted(stage, "tcp://10.0.0.9:0", lambda request, write: None)
+    mute = Scripted(lan, "tcp://10.0.0.9:0", lambda request, write: None)
     with (
         Server({1: device}).background(LINE),
         gateway([Route(LINE, "1"), Route(f"{mute.url}?timeout=500", "2")]) as (_, url),
         Client(url, unit=0, timeout=5000) as context,
     ):
-        asked = stage.now
+        start = lan.now
         with pytest.raises(GatewayTargetFailedToRespond):
             context.write_register(0, 1)
-        assert stage.now - asked == pytest.approx(500, abs=0.1)
+        assert lan.now - start == pytest.approx(500, abs=0.1)
         assert device.mapping.holding_registers[0] == 1
         # What did not answer rests.
         with pytest.raises(GatewayTargetFailedToRespond):
             context.write_register(0, 2)
-        assert stage.now - asked == pytest.approx(500, abs=0.2)
+        assert lan.now - start == pytest.approx(500, abs=0.2)
         assert device.mapping.holding_registers[0] == 2
 
 
-def test_unit_0_of_a_line_may_have_a_route(stage: Stage) -> None:
+def test_unit_0_of_a_line_may_have_a_route(lan: Lan) -> None:
     device = small()
     with (
         passage(
-            "tcp", "rtu", {1: device}, route={"units": "0,7", "device_units": "0"}, stage=stage
+            "tcp", "rtu", {1: device}, route={"units": "0,7", "device_units": "0"}, lan=lan
         ) as through,
         through.context(7) as context,
     ):
         for unit in (7, 0):
             context.for_unit(unit).write_register(0, unit + 1)
-            assert stage.until(lambda unit=unit: device.mapping.holding_registers[0] == unit + 1)
+            assert lan.until(lambda unit=unit: device.mapping.holding_registers[0] == unit + 1)
             with pytest.raises(GatewayTargetFailedToRespond):
                 context.for_unit(unit).read_holding_registers(0, 1)
 
 
-def test_the_rules_of_all_routes_of_a_line_hold_for_a_broadcast(stage: Stage) -> None:
+def test_the_rules_of_all_routes_of_a_line_hold_for_a_broadcast(lan: Lan) -> None:
     """It reaches the units of all of them, also of routes that come before on the same line."""
     devices = [small(), small()]
     routes = [Route(LINE, "1", read_only=True), Route(LINE, "2")]
     for order in (routes, routes[::-1]):
         with (
             Server({1: devices[0], 2: devices[1]}).background(LINE),
-            gateway(order) as (made, url),
+            gateway(order) as (gateway_, url),
             Client(url, unit=0, timeout=5) as context,
         ):
             with pytest.raises(IllegalFunction):
                 context.write_register(0, 7)
-            stage.pass_time(1)
+            lan.pass_time(1)
             assert [each.mapping.holding_registers[0] for each in devices] == [0, 0]
-            assert made.traffic.broadcasts == 0
+            assert gateway_.traffic.broadcasts == 0
 
 
-def test_a_broadcast_does_not_go_back_to_the_machine_that_sent_it(stage: Stage) -> None:
+def test_a_broadcast_does_not_go_back_to_the_machine_that_sent_it(lan: Lan) -> None:
     """Two gateways that lead to each other would send it for ever."""
     device = small()
-    sent: list[bytes] = []
-    other = Scripted(stage, "tcp://10.0.0.9:0", lambda request, write: sent.append(request))
+    writes: list[bytes] = []
+    other = Scripted(lan, "tcp://10.0.0.9:0", lambda request, write: writes.append(request))
     with (
         Server({1: device}).background(LINE),
         gateway([Route(LINE, "1"), Route(other.url, "2")], "tcp://10.0.0.1:0") as (_, url),
-        stage.talk(url, "10.0.0.9") as gateway_there,
+        lan.client(url, "10.0.0.9") as gateway_there,
     ):
         write = bytes.fromhex("0007 0000 0006 00 06 0000 0007")
         gateway_there.send(write)
         assert gateway_there.receive(len(write)) == write
-        stage.pass_time(1)
+        lan.pass_time(1)
         assert device.mapping.holding_registers[0] == 7
-        assert sent == []
+        assert writes == []
 
 
 @contextlib.contextmanager
@@ -139,7 +139,7 @@ def circle(line: str, *starts: str) -> Iterator[tuple[Gateway, Gateway, str]]:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu+tcp"])
-def test_nothing_goes_round_between_gateways_that_lead_to_each_other(stage: Stage, scheme) -> None:
+def test_nothing_goes_round_between_gateways_that_lead_to_each_other(lan: Lan, scheme) -> None:
     device, start = small(), f"{scheme}://127.0.0.1:0"
     with (
         Server({1: device}).background(LINE),
@@ -149,16 +149,16 @@ def test_nothing_goes_round_between_gateways_that_lead_to_each_other(stage: Stag
         for value in (7, 8, 7):
             with contextlib.suppress(GatewayTargetFailedToRespond):  # the other did not pass it on
                 context.for_unit(0).write_register(0, value)
-            stage.pass_time(0.5)
+            lan.pass_time(0.5)
             assert device.mapping.holding_registers[0] == value
-        stage.pass_time(60)
+        lan.pass_time(60)
         assert (first.traffic.broadcasts, second.traffic.broadcasts) == (3, 3)
         for _ in range(3):
             with pytest.raises(GatewayTargetFailedToRespond):
                 context.read_holding_registers(0, 1)
-            stage.pass_time(5)
+            lan.pass_time(5)
             before = first.traffic.requests, second.traffic.requests
-            stage.pass_time(100)
+            lan.pass_time(100)
             assert (first.traffic.requests, second.traffic.requests) == before
             assert max(before) < 23
         assert context.for_unit(1).read_holding_registers(0, 1) == [7]
@@ -181,15 +181,15 @@ def test_a_broadcast_does_not_go_round_between_gateways_of_one_process_on_unix_s
         assert (first.traffic.broadcasts, second.traffic.broadcasts) == (1, 1)
 
 
-def test_a_broadcast_may_be_repeated_by_its_client_and_by_others_after_a_second(stage: Stage):
+def test_a_broadcast_may_be_repeated_by_its_client_and_by_others_after_a_second(lan: Lan):
     write = bytes.fromhex("0007 0000 0006 00 06 0000 0007")
     busy = bytes.fromhex("0007 0000 0003 00 86 06")
     other_write = write[:-1] + b"\x08"
     with (
         Server({1: small()}).background(LINE),
-        gateway([Route(LINE, "1")], "tcp://10.0.0.1:0") as (made, url),
-        stage.talk(url) as client,
-        stage.talk(url) as other,
+        gateway([Route(LINE, "1")], "tcp://10.0.0.1:0") as (gateway_, url),
+        lan.client(url) as client,
+        lan.client(url) as other,
     ):
         for _ in range(3):
             client.sendall(write)
@@ -198,7 +198,7 @@ def test_a_broadcast_may_be_repeated_by_its_client_and_by_others_after_a_second(
         assert other.receive(len(busy)) == busy
         other.sendall(other_write)
         assert other.receive(len(write)) == other_write
-        stage.pass_time(1.1)
+        lan.pass_time(1.1)
         other.sendall(write)
         assert other.receive(len(write)) == write
-        assert made.traffic.broadcasts == 5
+        assert gateway_.traffic.broadcasts == 5

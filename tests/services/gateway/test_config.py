@@ -19,10 +19,10 @@ TO = 'url = "tcp://192.0.2.1"\n'
 def test_the_example_has_every_key_and_is_read() -> None:
     file = config.load(EXAMPLE)
     assert file.listen == ("tcp://127.0.0.1:1502", "udp://127.0.0.1:1502")
-    shared, looking = file.routes
-    assert shared.ways == {1: 255}
-    assert (shared.cache, shared.merge, shared.read_only) == (0.2, True, False)
-    assert shared.writable == ("coils", Access("holding_registers", 100, 20))
+    first, looking = file.routes
+    assert first.ways == {1: 255}
+    assert (first.cache, first.merge, first.read_only) == (0.2, True, False)
+    assert first.writable == ("coils", Access("holding_registers", 100, 20))
     assert looking.ways == {101: 255}
     assert looking.read_only
     assert file.options["queue"] == 16
@@ -54,7 +54,7 @@ def test_mistakes_are_told_with_file_line_and_key(tmp_path: Path, refused: Refus
         ("0-255:1=tcp://192.0.2.1", dict.fromkeys(range(256), 1)),
     ],
 )
-def test_routes_of_a_command_line(text: str, ways: dict[int, int]) -> None:
+def test_routes_of_a_command_line_are_read(text: str, ways: dict[int, int]) -> None:
     assert parse_route(text).ways == ways
 
 
@@ -72,7 +72,7 @@ def test_wrong_arguments_of_a_gateway_are_refused() -> None:
         (routes, {"limits": {}}),
         (routes, {"security": "x"}),
     ]
-    for given, options in wrong:
+    for row, options in wrong:
         with pytest.raises((TypeError, ValueError)):
-            Gateway(given, **options)
+            Gateway(row, **options)
     Gateway(routes, own_units=())

@@ -9,9 +9,9 @@ import pytest
 from libmodbus_py import Gateway, IllegalDataAddress, Route
 from libmodbus_py.serve import Asked
 from tests.services.gateway.gates import LINE, adu
+from tests.simulation.lan import Lan
 from tests.simulation.scripted import Scripted, Write
-from tests.simulation.stage import Stage
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 
 READ, WRITE = "03 0000 0001", "06 0001 0007"
 
@@ -37,15 +37,15 @@ class Case(NamedTuple):
     together: bool = False
 
 
-def refusing(asked: Asked) -> None:
-    raise IllegalDataAddress("not here", function=asked.function)
+def refusing(request: Asked) -> None:
+    raise IllegalDataAddress("not here", function=request.function)
 
 
-def failing(asked: Asked) -> None:
+def failing(request: Asked) -> None:
     raise ZeroDivisionError
 
 
-def no(asked: Asked) -> bool:
+def no(request: Asked) -> bool:
     return False
 
 
@@ -144,34 +144,34 @@ CASES = {
 def counted(statistics: Any, *left_out: str) -> dict[str, int]:
     """Return the counters that are not 0."""
     left_out += "url", "connection", "units", "lines", "seconds", "since"
-    found = {each.name: getattr(statistics, each.name) for each in fields(statistics)}
-    return {name: value for name, value in found.items() if value and name not in left_out}
+    counts = {each.name: getattr(statistics, each.name) for each in fields(statistics)}
+    return {name: value for name, value in counts.items() if value and name not in left_out}
 
 
 def answer(request: bytes, write: Write) -> None:
     unit, body = request[0], request[1:-2]
     if unit in (0, SILENT):
         return
-    answered = bytes([3, 2, 0, 7]) if body[0] == 3 else body
+    pdu = bytes([3, 2, 0, 7]) if body[0] == 3 else body
     if unit == REFUSES:
-        answered = bytes([body[0] | 0x80, 2])
-    frame = rtu(bytes([unit, *answered]).hex())
+        pdu = bytes([body[0] | 0x80, 2])
+    frame = rtu(bytes([unit, *pdu]).hex())
     write(frame[:-1] + bytes([frame[-1] ^ (unit == DAMAGES)]), DELAY)
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_each_request_counts_once(stage: Stage, name, caplog) -> None:
+def test_each_request_counts_once(lan: Lan, name, caplog) -> None:
     case = CASES[name]
-    Scripted(stage, LINE, answer)
+    Scripted(lan, LINE, answer)
     options = {**case.options}
     route = Route(f"{LINE}?timeout=0.5", units="1-4", **options.pop("route", {}))
     gateway = Gateway([route], **options)
     caplog.set_level(logging.ERROR)
     answers: list[str] = []
-    with gateway.background("tcp://10.0.0.1:0") as running, stage.talk(running.urls[0]) as client:
+    with gateway.background("tcp://10.0.0.1:0") as running, lan.client(running.urls[0]) as client:
 
         def receive() -> None:
-            stage.pass_time(0.6 if not case.together else 10)
+            lan.pass_time(0.6 if not case.together else 10)
             while client.has_input():
                 head = client.receive(6)
                 answers.append(client.receive(head[5])[1:3].hex())

@@ -12,11 +12,11 @@ from libmodbus_py import (
 )
 from libmodbus_py.server import udp
 from tests.services.gateway.gates import LINE, READ_ONE, adu, gated, gateway, numbered, small
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.gateways import passage
 
 
-def test_units_go_to_their_lines_and_are_others_there(stage: Stage) -> None:
+def test_units_go_to_their_lines_and_are_others_there(lan: Lan) -> None:
     with (
         Server({n: numbered(n) for n in (1, 2, 3)}).background("tcp://10.0.0.9:0") as one,
         Server({n: numbered(100 + n) for n in (1, 7)}).background(LINE),
@@ -26,7 +26,7 @@ def test_units_go_to_their_lines_and_are_others_there(stage: Stage) -> None:
                 Route(f"{LINE}?timeout=300", "11-17", "1-7"),
                 Route(one.urls[0], [20, 21], 3),
             ]
-        ) as (made, url),
+        ) as (gateway_, url),
         Client(url, timeout=2000) as context,
     ):
 
@@ -37,16 +37,16 @@ def test_units_go_to_their_lines_and_are_others_there(stage: Stage) -> None:
         for unit in (3, 10, 18, 22, 0, 247):
             with pytest.raises(GatewayPathUnavailable):
                 ask(unit)
-        asked = stage.now
+        start = lan.now
         with pytest.raises(GatewayTargetFailedToRespond):
             ask(12)
-        assert stage.now - asked == pytest.approx(300, abs=0.1)
-        assert made.traffic.no_route == 6
-        assert len(made.traffic.lines) == 2  # those with one URL share its connection
+        assert lan.now - start == pytest.approx(300, abs=0.1)
+        assert gateway_.traffic.no_route == 6
+        assert len(gateway_.traffic.lines) == 2  # those with one URL share its connection
 
 
-def test_the_gateway_itself_is_unit_255_with_its_statistics(stage: Stage) -> None:
-    with passage("tcp", "rtu", {1: small()}, stage=stage) as through, through.context(1) as context:
+def test_the_gateway_itself_is_unit_255_with_its_statistics(lan: Lan) -> None:
+    with passage("tcp", "rtu", {1: small()}, lan=lan) as through, through.context(1) as context:
         for _ in range(3):
             context.read_holding_registers(0, 1)
         own = context.for_unit(255)
@@ -56,7 +56,7 @@ def test_the_gateway_itself_is_unit_255_with_its_statistics(stage: Stage) -> Non
         assert own.read_device_identification().names["ProductCode"] == "Gateway"
 
 
-def test_255_goes_where_a_route_says_it_and_the_gateway_where_it_is_told(stage: Stage) -> None:
+def test_255_goes_where_a_route_says_it_and_the_gateway_where_it_is_told(lan: Lan) -> None:
     with (
         Server({255: numbered(7)}).background("tcp://10.0.0.9:0") as behind,
         gateway([Route(behind.urls[0], "255")], own_units=[0, 250]) as (_, url),
@@ -67,36 +67,36 @@ def test_255_goes_where_a_route_says_it_and_the_gateway_where_it_is_told(stage: 
             assert context.for_unit(unit).read_input_registers(1, 1) == [1]
 
 
-def test_on_a_line_the_gateway_answers_its_units_and_leaves_others_to_their_devices(stage: Stage):
+def test_on_a_line_the_gateway_answers_its_units_and_leaves_others_to_their_devices(lan: Lan):
     """The answer to a write looks like the write, and so does the same write again."""
     device = small()
     with (
         Server({1: small()}).background("tcp://10.0.0.9:0") as behind,
-        gateway([Route(behind.urls[0], "1")], LINE, own_units=[250]) as (made, _),
+        gateway([Route(behind.urls[0], "1")], LINE, own_units=[250]) as (gateway_, _),
         Server({7: device}).background(LINE),
         Client(LINE, unit=7) as context,
     ):
         for _ in range(2):
             context.write_register(0, 5)
         assert device.mapping.holding_registers[0] == 5
-        assert (made.traffic.requests, made.traffic.no_route) == (2, 2)
+        assert (gateway_.traffic.requests, gateway_.traffic.no_route) == (2, 2)
         for _ in range(2):
             context.for_unit(1).write_register(0, 5)
         for _ in range(2):
             with pytest.raises(IllegalDataAddress):
                 context.for_unit(250).write_register(0, 5)
-        assert (made.traffic.requests, made.traffic.no_route) == (6, 2)
+        assert (gateway_.traffic.requests, gateway_.traffic.no_route) == (6, 2)
 
 
 @pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
-def test_a_rule_that_ends_the_program_ends_it(stage: Stage, error: type[BaseException]) -> None:
-    def authorize(asked: object) -> bool:
+def test_a_rule_that_ends_the_program_ends_it(lan: Lan, error: type[BaseException]) -> None:
+    def authorize(request: object) -> bool:
         raise error
 
     def ask() -> None:
         with (
             gateway([Route(LINE, "1")], "tcp://10.0.0.1:0", authorize=authorize) as (_, url),
-            stage.talk(url) as client,
+            lan.client(url) as client,
         ):
             client.sendall(adu(READ_ONE))
             assert client.receive(1) == b""
@@ -106,10 +106,10 @@ def test_a_rule_that_ends_the_program_ends_it(stage: Stage, error: type[BaseExce
 
 
 @pytest.mark.parametrize(("writes_first", "place"), [(True, 1), (False, 6)])
-def test_writes_overtake_reads_where_they_may(stage: Stage, writes_first: bool, place: int) -> None:
-    with gated(stage, writes_first=writes_first) as (gate, line, url, _), stage.talk(url) as client:
+def test_writes_overtake_reads_where_they_may(lan: Lan, writes_first: bool, place: int) -> None:
+    with gated(lan, writes_first=writes_first) as (gate, line, url, _), lan.client(url) as client:
         client.sendall(adu(READ_ONE) * 6 + adu(bytes.fromhex("06 0000 0001"), 9))
-        assert stage.until(lambda: line.waiting == 6)
+        assert lan.until(lambda: line.waiting == 6)
         gate.open()
         client.receive(6 * 11 + 12)
         assert gate.kinds.index("write") == place
@@ -119,9 +119,9 @@ MOST = 3
 
 
 @pytest.mark.parametrize("front", ["udp", "rtu+udp"])
-def test_answers_make_room_for_further_datagrams(stage: Stage, front, monkeypatch) -> None:
+def test_answers_make_room_for_further_datagrams(lan: Lan, front, monkeypatch) -> None:
     monkeypatch.setattr(udp, "REMEMBERED_MAX", MOST)
-    with passage(front, "rtu", {1: small()}, stage=stage) as through, through.context(1) as client:
+    with passage(front, "rtu", {1: small()}, lan=lan) as through, through.context(1) as client:
         for _ in range(2 * MOST):
             assert client.read_holding_registers(0, 1) == [0]
         everyone = client.for_unit(0)

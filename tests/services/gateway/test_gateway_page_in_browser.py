@@ -21,11 +21,11 @@ def test_a_person_looks_at_a_gateway(monkeypatch: pytest.MonkeyPatch) -> None:
     with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as behind:
         place = behind.urls[0]
         gateway = Gateway([Route(place, units="1-9")])
-        shown = ShownGateway("<b>house</b>", gateway)
+        view = ShownGateway("<b>house</b>", gateway)
         with (
-            gateway.tracing(shown.note),
+            gateway.tracing(view.note),
             gateway.background("tcp://127.0.0.1:0") as running,
-            table_page(TableSource(shown)) as page,
+            table_page(TableSource(view)) as page,
             Client(running.urls[0], unit=3, timeout=10) as plc,
             person_at(page.url) as person,
         ):

@@ -98,9 +98,9 @@ def test_context_and_c_server_agree_through_it(compiled: Callable[[str], Path], 
 @pytest.mark.parametrize("front", SIDES)
 def test_c_client_is_content_with_a_device_behind_it(compiled: Callable[[str], Path], front):
     with passage(front, SIDES[front]) as through:
-        said = run_c_client(compiled("client"), parse(through.url))
-    assert {f"FC {function} ok" for function in C_CLIENT_CALLS} <= said
-    assert {f"FC {function} refused" for function in C_CLIENT_REFUSALS} <= said
+        output = run_c_client(compiled("client"), parse(through.url))
+    assert {f"FC {function} ok" for function in C_CLIENT_CALLS} <= output
+    assert {f"FC {function} refused" for function in C_CLIENT_REFUSALS} <= output
 
 
 @needs_mbpoll

@@ -26,7 +26,7 @@ from tests.support.cases import each_case
 TOLD = "libmodbus_py.services.gateway"
 
 
-def told(caplog: pytest.LogCaptureFixture) -> list[str]:
+def logged(caplog: pytest.LogCaptureFixture) -> list[str]:
     """Return what was logged, without the names of lines."""
     return [text.rpartition(": ")[2] for text in caplog.messages]
 
@@ -54,7 +54,7 @@ async def test_a_silent_unit_rests_and_is_tried_by_one_request(plant: Plant, cap
     await asyncio.sleep(1)
     assert first.answers[1:] == [answer_of(9, 2)]
     assert not plant.unit(9).is_silent
-    assert told(caplog) == ["unit 9 does not answer", "unit 9 answers again"]
+    assert logged(caplog) == ["unit 9 does not answer", "unit 9 answers again"]
 
 
 @on_line("tcp://10.0.0.1?timeout=0.5")
@@ -62,12 +62,12 @@ async def test_a_trial_whose_connection_is_lost_is_followed_by_a_longer_rest(pla
     plant.silent.add(9)
     plant.ask(9, Asker())
     await asyncio.sleep(2)
-    tried, early, late = Asker(), Asker(), Asker()
-    plant.ask(9, tried)
+    trial, early, late = Asker(), Asker(), Asker()
+    plant.ask(9, trial)
     await asyncio.sleep(0.1)
     plant.peer.drop_all()
     await asyncio.sleep(TIMEOUT)
-    assert tried.answers == [REFUSED]
+    assert trial.answers == [REFUSED]
     plant.silent.clear()
     await asyncio.sleep(3 * TIMEOUT - 0.2)
     plant.ask(9, early)
@@ -102,7 +102,7 @@ async def test_a_unit_that_answers_nothing_rests(plant: Plant, caplog) -> None:
     plant.ask(9, asker, UNKNOWN)  # it rests no longer than its unit
     await asyncio.sleep(1)
     assert asker.answers[-1] == "0800000001"
-    assert told(caplog) == [
+    assert logged(caplog) == [
         "unit 9 does not answer function 8",
         "unit 9 does not answer",
         "unit 9 answers again",
@@ -129,7 +129,7 @@ async def test_requests_of_a_silent_function_are_refused_together_until_it_answe
         plant.ask(9, asker, UNKNOWN)
         await asyncio.sleep(1)
     assert asker.answers[2:] == ["0800000001", "0800000001"]
-    assert told(caplog)[-1] == "unit 9 answers function 8 again"
+    assert logged(caplog)[-1] == "unit 9 answers function 8 again"
 
 
 @on_line()
@@ -138,11 +138,11 @@ async def test_a_request_that_gets_no_answer_is_no_silence_and_leaves_the_unit_d
     plant.silent.add(9)
     plant.ask(9, Asker())
     await asyncio.sleep(2)
-    told, asker = Asker(), Asker()
+    other, asker = Asker(), Asker()
     for unit in (1, 9):
-        plant.ask(unit, told, "08 0004 0000")
+        plant.ask(unit, other, "08 0004 0000")
         await asyncio.sleep(1)
-    assert told.answers == [None, None]
+    assert other.answers == [None, None]
     assert (plant.unit(1).timeouts, plant.unit(1).answers) == (0, 0)
     plant.silent.clear()
     plant.ask(9, asker)
@@ -208,7 +208,7 @@ async def test_a_client_that_leaves_at_an_answer_gets_no_other_of_the_same_turn(
     class Leaving(Asker):
         def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
             super().take_response(forwarded, response)
-            for other in asked:
+            for other in waiting:
                 if other is not forwarded:
                     plant.line.leave(other)
 
@@ -221,7 +221,7 @@ async def test_a_client_that_leaves_at_an_answer_gets_no_other_of_the_same_turn(
 
     plant.line._note_done = note_both  # type: ignore[method-assign]
     asker = Leaving()
-    asked = [plant.ask(1, asker), plant.ask(2, asker)]
+    waiting = [plant.ask(1, asker), plant.ask(2, asker)]
     await asyncio.sleep(1)
     assert (len(asker.answers), len(plant.line.in_flight)) == (1, 0)
 
@@ -271,15 +271,15 @@ async def test_a_write_whose_client_goes_while_it_is_sent_makes_what_was_read_be
 def test_an_answer_is_that_of_its_unit_and_request_and_no_older_than_wanted() -> None:
     cache = Cache()
     cache.keep(1, b"ask", b"answer", 10.0)
-    for unit, request, now, found in (
+    for unit, request, now, answer in (
         *((1, b"ask", 10.5, b"answer"), (1, b"ask", 10.6, None)),
         *((2, b"ask", 10.0, None), (1, b"other", 10.0, None)),
     ):
-        assert cache.get(unit, request, 0.5, now) == found
+        assert cache.get(unit, request, 0.5, now) == answer
 
 
 @each_case(
-    ("leaving", "moment", "asked", "unwanted"),
+    ("leaving", "moment", "units", "unwanted"),
     [
         ("a", "waiting", [1, 2], 1),
         ("bc", "waiting", [1, 2], 2),
@@ -292,7 +292,7 @@ def test_an_answer_is_that_of_its_unit_and_request_and_no_older_than_wanted() ->
 )
 @on_line()
 async def test_a_client_that_leaves_costs_no_other_client_its_answer(
-    plant: Plant, leaving: str, moment: str, asked: list[int], unwanted: int
+    plant: Plant, leaving: str, moment: str, units: list[int], unwanted: int
 ) -> None:
     plant.ask(1, Asker())
     askers = {name: Asker() for name in "abc"}
@@ -316,18 +316,18 @@ async def test_a_client_that_leaves_costs_no_other_client_its_answer(
     if moment != "answered":
         leave()
     await asyncio.sleep(1)
-    assert plant.asked == asked
+    assert plant.asked == units
     assert plant.line.statistics.unwanted == unwanted
     for name, asker in askers.items():
         assert asker.answers == ([] if name in leaving else [answer_of(2, 2)])
     # Nothing holds requests together that are over.
     assert [each.requester for each in waiting.values()] == [None] * 3
-    assert asked == [1] or [each.first for each in waiting.values()] == [None] * 3
+    assert units == [1] or [each.first for each in waiting.values()] == [None] * 3
     # A read that no client waits for any more cannot be joined.
     later = Asker()
     plant.ask(2, later, merge=True)
     await asyncio.sleep(1)
-    assert later.answers == [answer_of(2, len(asked) + 1)]
+    assert later.answers == [answer_of(2, len(units) + 1)]
 
 
 @each_case(
@@ -375,7 +375,7 @@ async def test_a_device_that_is_not_there_is_told_once_and_when_it_is_back(
     monkeypatch.setattr("time.time", lambda: float(next(clock)))
     caplog.set_level(logging.WARNING, logger=TOLD)
     asker = Asker()
-    seen: list[tuple[bool, float]] = []
+    changes: list[tuple[bool, float]] = []
     for is_there in (True, False, False, True, True):
         if is_there:
             plant.network.listen(plant.peer.url, plant.peer._accept)
@@ -384,16 +384,16 @@ async def test_a_device_that_is_not_there_is_told_once_and_when_it_is_back(
             plant.peer.drop_all()
         plant.ask(1, asker)
         await asyncio.sleep(5)
-        seen.append((bool(plant.line.statistics.trouble), plant.line.statistics.since))
-    open_first, down, still_down, open_again, still_open = seen
-    assert [is_down for is_down, _ in seen] == [False, True, True, False, False]
+        changes.append((bool(plant.line.statistics.trouble), plant.line.statistics.since))
+    open_first, down, still_down, open_again, still_open = changes
+    assert [is_down for is_down, _ in changes] == [False, True, True, False, False]
     assert 0 < open_first[1] < down[1] < open_again[1]
     assert (still_down, still_open) == (down, open_again)
     assert [answer == REFUSED for answer in asker.answers] == [False, True, True, False, False]
     assert (plant.unit(1).lost, plant.unit(1).is_silent) == (2, False)
     assert len(caplog.messages) == 2
     assert caplog.messages[0].endswith("; trying again")
-    assert told(caplog)[1] == "open again"
+    assert logged(caplog)[1] == "open again"
 
 
 @on_line("tcp://10.0.0.1")

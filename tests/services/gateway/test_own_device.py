@@ -40,10 +40,10 @@ def words(*numbers: int) -> list[int]:
     return [word for number in numbers for word in divmod(number, 0x10000)]
 
 
-def test_the_gateway_comes_first(trial: Trial) -> None:
-    given = trial.statistics
-    given.requests, given.no_route, given.refused = 70_000, 2, 3
-    given.malformed, given.broadcasts = 2**32 + 4, 5
+def test_the_first_registers_have_the_counts_of_the_gateway(trial: Trial) -> None:
+    statistics = trial.statistics
+    statistics.requests, statistics.no_route, statistics.refused = 70_000, 2, 3
+    statistics.malformed, statistics.broadcasts = 2**32 + 4, 5
     trial.clients.connections, trial.clients.refused = 6, 7
     trial.clients.bad_frames = 8
     trial.lines["a"] = LineStatistics("a", Statistics())
@@ -51,7 +51,7 @@ def test_the_gateway_comes_first(trial: Trial) -> None:
     assert trial.read(22, 78) == [0] * 78
 
 
-def test_lines_begin_at_100(trial: Trial) -> None:
+def test_the_registers_of_lines_begin_at_100(trial: Trial) -> None:
     for number in range(42):
         connection = Statistics(late_answers=1, timeouts=2, connects=3, lost=4)
         connection.failed_connects = 5
@@ -67,14 +67,14 @@ def test_lines_begin_at_100(trial: Trial) -> None:
     assert trial.read(100, 100) == [0] * 100
 
 
-def test_units_begin_at_1000(trial: Trial) -> None:
+def test_the_registers_of_units_begin_at_1000(trial: Trial) -> None:
     unit = UnitStatistics(1, 4, 3, 5, 6, 7, 8, given_up=99, cached=9, merged=10)
     unit.seconds, unit.is_silent = 0.5, True
     trial.units = {0: unit, 1: UnitStatistics(requests=2), 255: unit}
-    told = words(1, 4, 3, 5, 6, 7, 8, 19, 125_000, 1)
-    assert trial.read(1000, 20) == told
-    assert trial.read(1019, 4) == [told[-1], *words(2), 0]
-    assert trial.read(1000 + 255 * 20, 20) == told
+    cells = words(1, 4, 3, 5, 6, 7, 8, 19, 125_000, 1)
+    assert trial.read(1000, 20) == cells
+    assert trial.read(1019, 4) == [cells[-1], *words(2), 0]
+    assert trial.read(1000 + 255 * 20, 20) == cells
     assert trial.read(1040, 20) == [0] * 20  # no unit was asked there
 
 

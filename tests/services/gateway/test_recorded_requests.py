@@ -22,7 +22,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.serve import Allow, Asked
 from tests.services.gateway.gates import READ_ONE, adu, gated, small
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.events import Events
 from tests.support.gateways import passage
 
@@ -35,7 +35,7 @@ def events() -> Events:
 
 
 @contextlib.contextmanager
-def recorded(stage: Stage, events: Events, **options: Any) -> Iterator[Client]:
+def recorded(lan: Lan, events: Events, **options: Any) -> Iterator[Client]:
     """Return a client of unit 1 behind a gateway, which appends what it records to `events`."""
     with (
         passage(
@@ -43,7 +43,7 @@ def recorded(stage: Stage, events: Events, **options: Any) -> Iterator[Client]:
             "rtu",
             {1: small()},
             line_options="timeout=0.2",
-            stage=stage,
+            lan=lan,
             audit=events.append,
             **options,
         ) as through,
@@ -52,12 +52,12 @@ def recorded(stage: Stage, events: Events, **options: Any) -> Iterator[Client]:
         yield context
 
 
-def told(events: Events) -> list[tuple[str, int | None, int | None, str]]:
+def rows(events: Events) -> list[tuple[str, int | None, int | None, str]]:
     return [(each.event, each.unit, each.function, each.result) for each in events]
 
 
-def test_a_write_is_recorded_with_its_outcome(stage: Stage, events: Events) -> None:
-    with recorded(stage, events) as context:
+def test_a_write_is_recorded_with_its_outcome(lan: Lan, events: Events) -> None:
+    with recorded(lan, events) as context:
         context.write_register(0, 5)
         with pytest.raises(GatewayTargetFailedToRespond):
             context.for_unit(2).write_register(0, 5)
@@ -66,7 +66,7 @@ def test_a_write_is_recorded_with_its_outcome(stage: Stage, events: Events) -> N
         context.for_unit(0).write_register(0, 5)
         context.read_holding_registers(0, 1)
     silent = "gateway target device failed to respond (exception 11)"
-    assert told(events) == [
+    assert rows(events) == [
         ("write", 1, 6, "ok"),
         ("write", 2, 6, silent),
         ("write", 2, 6, silent),
@@ -74,9 +74,9 @@ def test_a_write_is_recorded_with_its_outcome(stage: Stage, events: Events) -> N
     ]
 
 
-def test_reads_are_recorded_that_a_rule_refuses_and_no_others(stage: Stage, events: Events) -> None:
+def test_reads_are_recorded_that_a_rule_refuses_and_no_others(lan: Lan, events: Events) -> None:
     rules = Rules({None: Allow(read=[Access("holding_registers", 0, 100)])})
-    with recorded(stage, events, authorize=rules) as context:
+    with recorded(lan, events, authorize=rules) as context:
         context.read_holding_registers(0, 1)
         with pytest.raises(IllegalFunction):
             context.read_coils(0, 1)
@@ -88,20 +88,20 @@ def test_reads_are_recorded_that_a_rule_refuses_and_no_others(stage: Stage, even
             with pytest.raises(ExceptionResponse):
                 context.for_unit(2).read_holding_registers(0, 1)
     refused = "illegal function (exception 1)"
-    assert told(events) == [("refused", 1, 1, refused), ("write", 1, 6, refused)]
+    assert rows(events) == [("refused", 1, 1, refused), ("write", 1, 6, refused)]
 
 
 def test_an_authorize_that_raises_is_recorded_and_answers_like_it_are_not(
-    stage: Stage, events: Events
+    lan: Lan, events: Events
 ) -> None:
-    def authorize(asked: Asked) -> bool:
-        if asked.function == 1:
+    def authorize(request: Asked) -> bool:
+        if request.function == 1:
             raise IllegalFunction
-        if asked.function == 2:
+        if request.function == 2:
             raise ServerDeviceBusy
         return True
 
-    with recorded(stage, events, authorize=authorize) as context:
+    with recorded(lan, events, authorize=authorize) as context:
         for unit in (1, 255):  # a device, and the gateway itself
             client = context.for_unit(unit)
             for read in (client.read_coils, client.read_discrete_inputs):
@@ -110,47 +110,47 @@ def test_an_authorize_that_raises_is_recorded_and_answers_like_it_are_not(
             with pytest.raises(IllegalFunction):  # neither has such a function
                 client.execute(pdu.EncapsulatedTransport(13, b""))
     illegal, busy = "illegal function (exception 1)", "server device busy (exception 6)"
-    assert [each for each in told(events) if each[0] == "refused"] == [
+    assert [each for each in rows(events) if each[0] == "refused"] == [
         ("refused", unit, function, result)
         for unit in (1, 255)
         for function, result in ((1, illegal), (2, busy))
     ]
 
 
-def test_a_write_whose_client_is_gone_is_recorded_once(stage: Stage, events: Events) -> None:
+def test_a_write_whose_client_is_gone_is_recorded_once(lan: Lan, events: Events) -> None:
     """While it waits, and after it was sent."""
     with (
-        gated(stage, audit=events.append) as (gate, _, url, _),
-        stage.talk(url) as first,
-        stage.talk(url) as second,
+        gated(lan, audit=events.append) as (gate, _, url, _),
+        lan.client(url) as first,
+        lan.client(url) as second,
     ):
         first.sendall(adu(WRITE))
-        assert stage.until(lambda: gate.asked)
+        assert lan.until(lambda: gate.asked)
         second.sendall(adu(READ_ONE) + adu(WRITE))
-        stage.pass_time(1)
+        lan.pass_time(1)
         assert events == []
         first.close()
         second.reset()
-        stage.pass_time(1)
-        assert told(events) == [("write", 1, 6, "no answer")]
+        lan.pass_time(1)
+        assert rows(events) == [("write", 1, 6, "no answer")]
         gate.open()
-        stage.pass_time(5)
-    assert told(events) == [("write", 1, 6, "no answer"), ("write", 1, 6, "ok")]
+        lan.pass_time(5)
+    assert rows(events) == [("write", 1, 6, "no answer"), ("write", 1, 6, "ok")]
     assert gate.kinds == ["write"]
 
 
-def test_a_client_that_is_gone_has_its_broadcast_recorded_once(stage: Stage, events: Events):
-    with gated(stage, audit=events.append) as (gate, _, url, _):
-        with stage.talk(url) as other, stage.talk(url) as client:
+def test_a_client_that_is_gone_has_its_broadcast_recorded_once(lan: Lan, events: Events):
+    with gated(lan, audit=events.append) as (gate, _, url, _):
+        with lan.client(url) as other, lan.client(url) as client:
             other.sendall(adu(READ_ONE))
-            assert stage.until(lambda: gate.asked)
+            assert lan.until(lambda: gate.asked)
             client.sendall(adu(WRITE, unit=0))
-            stage.pass_time(1)
+            lan.pass_time(1)
             assert events == []
             client.reset()
-            stage.pass_time(1)
+            lan.pass_time(1)
             assert [each.unit for each in events] == [0]
             gate.open()
-            stage.pass_time(5)
+            lan.pass_time(5)
         writes = [each for each in events if each.unit == 0]
         assert len(writes) == 1

@@ -12,16 +12,16 @@ from libmodbus_py import (
 )
 from libmodbus_py.services.gateway.line import request_of
 from tests.services.gateway.gates import READ_ONE, adu, small
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.cases import each_case
 from tests.support.gateways import passage
 from tests.support.interop import UNIT, make_device
 
 
-def test_read_only_is_read_only(stage: Stage) -> None:
+def test_a_route_that_is_read_only_refuses_writes(lan: Lan) -> None:
     device = make_device()
     with (
-        passage("tcp", "rtu", {UNIT: device}, route={"read_only": True}, stage=stage) as through,
+        passage("tcp", "rtu", {UNIT: device}, route={"read_only": True}, lan=lan) as through,
         through.context() as context,
     ):
         assert context.read_holding_registers(100, 2) == [1100, 1101]
@@ -47,9 +47,9 @@ def test_read_only_is_read_only(stage: Stage) -> None:
         assert through.gateway.traffic.refused == 11
 
 
-def test_only_writes_that_a_rule_allows_are_executed(stage: Stage) -> None:
+def test_only_writes_that_a_rule_allows_are_executed(lan: Lan) -> None:
     route = {"writable": ["coils", Access("holding_registers", 110, 10)]}
-    with passage("tcp", "rtu", route=route, stage=stage) as through, through.context() as context:
+    with passage("tcp", "rtu", route=route, lan=lan) as through, through.context() as context:
         context.write_coil(10, False)
         context.write_registers(110, range(10))
         context.read_write_registers(100, 5, 115, [1])
@@ -61,23 +61,23 @@ def test_only_writes_that_a_rule_allows_are_executed(stage: Stage) -> None:
         assert context.read_holding_registers(109, 3) == [1109, 0, 1]
 
 
-def test_a_cached_answer_is_refused_to_those_who_may_not_read_it(stage: Stage) -> None:
+def test_a_cached_answer_is_refused_to_those_who_may_not_read_it(lan: Lan) -> None:
     with (
         passage(
             "tcp",
             "rtu",
             {1: small()},
             route={"cache": 60},
-            authorize=lambda asked: asked.peer.startswith("10.0.0.2:"),
-            stage=stage,
+            authorize=lambda question: question.peer.startswith("10.0.0.2:"),
+            lan=lan,
         ) as through,
-        stage.talk(through.url, "10.0.0.2") as one,
-        stage.talk(through.url, "10.0.0.3") as other,
+        lan.client(through.url, "10.0.0.2") as one,
+        lan.client(through.url, "10.0.0.3") as other,
     ):
         for client, answer in ((one, "03 02 0000"), (other, "83 01"), (one, "03 02 0000")):
             client.sendall(adu(READ_ONE))
-            expected = adu(bytes.fromhex(answer))
-            assert client.receive(len(expected)) == expected
+            adu_ = adu(bytes.fromhex(answer))
+            assert client.receive(len(adu_)) == adu_
         (line,) = through.gateway.traffic.lines.values()
         assert (line.units[1].requests, line.units[1].cached) == (1, 1)
 
@@ -92,10 +92,10 @@ def test_a_function_code_that_cannot_be_is_refused(code: int) -> None:
 @each_case("request", ["03", "03 000000", "03 0000000100", "07 00", "10 00000001 02 00"])
 def test_a_known_function_has_requests_of_its_length_only(request: str) -> None:
     """With a wrong length, everybody on a line would look for the end in vain."""
-    given = bytes.fromhex(request)
+    pdu = bytes.fromhex(request)
     with pytest.raises(IllegalDataValue) as raised:
-        request_of(given)
-    assert raised.value.function == given[0]
+        request_of(pdu)
+    assert raised.value.function == pdu[0]
 
 
 # Requests of the application protocol, sections 6.1 to 6.4, with responses.
@@ -109,20 +109,20 @@ RESPONSES = [
 
 @each_case("request, response", RESPONSES)
 def test_a_response_to_a_read_is_passed_on_if_its_length_fits(request: str, response: str) -> None:
-    asked, good = request_of(bytes.fromhex(request)), bytes.fromhex(response)
-    assert asked.decode_response(good) == good
+    request_, good = request_of(bytes.fromhex(request)), bytes.fromhex(response)
+    assert request_.decode_response(good) == good
     bad = [b"", good[:-1], good + b"\0", bytes([good[0] ^ 7]) + good[1:], good[:2]]
     bad += [good[:1] + bytes([good[1] - 1]) + rest for rest in (good[2:], good[2:-1])]
     for response_pdu in bad:
         with pytest.raises(InvalidResponse):
-            asked.decode_response(response_pdu)
+            request_.decode_response(response_pdu)
     with pytest.raises(ExceptionResponse):
-        asked.decode_response(bytes([good[0] | 0x80, 2]))
+        request_.decode_response(bytes([good[0] | 0x80, 2]))
 
 
 @each_case("request", ["05 0001 FF00", "06 0001 0007", "10 0001 0001 02 0007", "16 0001 FFFF 0000"])
 def test_bytes_behind_an_echo_are_not_forwarded(request: str) -> None:
     """On a line they would have a wrong CRC."""
-    asked = bytes.fromhex(request)
-    echo = asked[: 7 if asked[0] == 0x16 else 5]
-    assert request_of(asked).decode_response(echo + b"\6") == echo
+    request_ = bytes.fromhex(request)
+    echo = request_[: 7 if request_[0] == 0x16 else 5]
+    assert request_of(request_).decode_response(echo + b"\6") == echo

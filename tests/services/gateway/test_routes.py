@@ -74,7 +74,7 @@ def test_the_writable_ranges_of_a_route_are_those_of_its_argument() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "route = []", "route = 1", "route = [1]"])
-def test_a_file_has_routes(text: str) -> None:
+def test_a_file_without_routes_is_refused(text: str) -> None:
     with pytest.raises((TypeError, ValueError), match="route"):
         parse_file(text)
 

@@ -28,17 +28,17 @@ from tests.tools.page.watching import Visitor
 FIRST, SECOND = "tcp://10.0.0.1", "rtu:///dev/line"
 
 
-def rows(shown: Any) -> dict[str, Any]:
+def rows(view: Any) -> dict[str, Any]:
     """Return the rows by their names."""
-    return {" ".join(name_of(row.cells())[:2]): row for row in shown.rows()}
+    return {" ".join(name_of(row.cells())[:2]): row for row in view.rows()}
 
 
-def cells(shown: Any) -> dict[str, dict[str, Any]]:
-    return {name: row.cells() for name, row in rows(shown).items()}
+def cells(view: Any) -> dict[str, dict[str, Any]]:
+    return {name: row.cells() for name, row in rows(view).items()}
 
 
-def problems(shown: Any) -> list[str]:
-    return [name for name, row in rows(shown).items() if row.is_problem]
+def problems(view: Any) -> list[str]:
+    return [name for name, row in rows(view).items() if row.is_problem]
 
 
 def traced(direction: Any, function: int, peer: str = "192.0.2.7:4711", unit: int = 3) -> Traced:
@@ -118,15 +118,15 @@ def test_requests_are_counted_by_client_and_unit() -> None:
     clients.note(traced("sent", 0x83, "192.0.2.99:1"))  # to a request before the page
     clients.note(traced("received", 3)._replace(unit=None, function=None))
     read, write = "unit 3, 3 read holding registers", "unit 3, 16 write registers"
-    found = [row.cells() for row in clients.rows()]
-    assert [(name_of(row), *state_of(row)[:2], row["requests"]) for row in found] == [
+    rows_ = [row.cells() for row in clients.rows()]
+    assert [(name_of(row), *state_of(row)[:2], row["requests"]) for row in rows_] == [
         (["/dev/ttyUSB0", read], "client", "", 1),
         (["192.0.2.7", read], "client", "", 2),
         (["192.0.2.7", write], "client", "exceptions 1", 1),
         (["192.0.2.7", "unit 3, 65"], "client", "", 1),
         (["2001:db8::1", read], "client", "", 1),
     ]
-    assert found[0]["last"] == 100.0
+    assert rows_[0]["last"] == 100.0
     assert [row.is_problem for row in clients.rows()] == [False, False, True, False, False]
     assert clients.rows()[1].words == "192.0.2.7 unit 3, 3 read holding registers function 3"
 
@@ -135,30 +135,30 @@ def test_lines_units_and_clients_of_a_gateway_on_a_page(monkeypatch: pytest.Monk
     monkeypatch.setattr(samples, "SAMPLED", 0.0)
     devices = {1: Device(Mapping(holding_registers=10))}
     with Server(devices, unknown_unit="silent").background("tcp://127.0.0.1:0") as behind:
-        there, gone = behind.urls[0], "tcp://127.0.0.1:9"
+        there, absent = behind.urls[0], "tcp://127.0.0.1:9"
         gateway = Gateway(
-            [Route(f"{there}?timeout=0.05", units="1-2"), Route(gone, units="9")], longest_wait=1
+            [Route(f"{there}?timeout=0.05", units="1-2"), Route(absent, units="9")], longest_wait=1
         )
-        shown = ShownGateway("house", gateway)
+        view = ShownGateway("house", gateway)
         with (
-            gateway.tracing(shown.note),
+            gateway.tracing(view.note),
             gateway.background("tcp://127.0.0.1:0") as running,
             Client(running.urls[0], unit=1, timeout=10) as plc,
-            table_page(TableSource(shown)) as page,
+            table_page(TableSource(view)) as page,
         ):
             # Nobody looks at the page yet.
             assert plc.read_holding_registers(3, 2) == [0, 0]
             for unit in (2, 9):
                 with pytest.raises(GatewayTargetFailedToRespond):
                     plc.for_unit(unit).read_holding_registers(0, 1)
-            found = cells(shown)
-            assert state_of(found[there])[:2] == ["open", ""]
-            assert (found[there]["requests"], found[there]["answers"]) == (2, 1)
-            down = until(lambda: (now := state_of(cells(shown)[gone]))[0] == "down" and now)
+            table = cells(view)
+            assert state_of(table[there])[:2] == ["open", ""]
+            assert (table[there]["requests"], table[there]["answers"]) == (2, 1)
+            down = until(lambda: (now := state_of(cells(view)[absent]))[0] == "down" and now)
             assert "Connection refused" in down[1]
             assert down[2] > 0
-            assert state_of(found[f"{there} unit 1"]) == ["answers", "", 0]
-            assert state_of(found[f"{there} unit 2"])[0] == "silent"
+            assert state_of(table[f"{there} unit 1"]) == ["answers", "", 0]
+            assert state_of(table[f"{there} unit 2"])[0] == "silent"
             with Visitor(page.url).watching() as visitor:
                 visitor.receive(lambda: visitor.seen["figures"]["requests"] == 3)
                 visitor.receive(lambda: len(visitor.rows("log")) == 3)
@@ -167,11 +167,11 @@ def test_lines_units_and_clients_of_a_gateway_on_a_page(monkeypatch: pytest.Monk
                 read = "3 read holding registers"
                 visitor.receive(lambda: len(visitor.rows("rows")) == 4)
                 assert [name_of(each)[-1] for each in visitor.rows("rows")] == [
-                    *("unit 2", gone, f"unit 2, {read}", f"unit 9, {read}")
+                    *("unit 2", absent, f"unit 2, {read}", f"unit 9, {read}")
                 ]
                 rate = visitor.history(["", there], 60, "rate")
                 assert (rate["units"], rate["values"] != []) == ("requests/s", True)
                 took = visitor.history([there, "unit 1"], 60, "time")
                 assert took["units"] == "ms"
-                gone = visitor.history(["127.0.0.1", "unit 1"], 60, "requests")
-                assert gone == "this value no longer exists"
+                reason = visitor.history(["127.0.0.1", "unit 1"], 60, "requests")
+                assert reason == "this value no longer exists"

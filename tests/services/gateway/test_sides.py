@@ -17,7 +17,7 @@ from libmodbus_py import (
     pdu,
 )
 from tests.services.gateway.gates import small
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.support.certificates import Pki
 from tests.support.gateways import passage
 from tests.support.interop import check_all
@@ -27,8 +27,8 @@ SIDES = [(front, back) for front in FRONTS for back in FRONTS]
 
 
 @pytest.mark.parametrize(("front", "back"), SIDES, ids=["-".join(sides) for sides in SIDES])
-def test_any_function_goes_from_any_side_to_any(stage: Stage, front: str, back: str) -> None:
-    with passage(front, back, stage=stage) as through, through.context() as context:
+def test_any_function_goes_from_any_side_to_any(lan: Lan, front: str, back: str) -> None:
+    with passage(front, back, lan=lan) as through, through.context() as context:
         every_function(context)
 
 
@@ -55,7 +55,7 @@ def every_function(context: Client) -> None:
         context.execute(pdu.EncapsulatedTransport(13, b"abc"))
 
 
-def test_functions_that_nobody_knows_go_through_as_bytes(stage: Stage) -> None:
+def test_functions_that_nobody_knows_go_through_as_bytes(lan: Lan) -> None:
     """On a line between, their ends are found by the CRC."""
 
     @pdu.register
@@ -68,7 +68,7 @@ def test_functions_that_nobody_knows_go_through_as_bytes(stage: Stage) -> None:
     try:
         for front, back in (("tcp", "rtu"), ("rtu", "tcp"), ("udp", "ascii"), ("ascii", "rtu+tcp")):
             with (
-                passage(front, back, {1: device}, stage=stage) as through,
+                passage(front, back, {1: device}, lan=lan) as through,
                 through.context(1) as context,
             ):
                 assert context.execute(pdu.RawRequest(101, b"abc")) == b"cba"
@@ -81,11 +81,11 @@ def test_functions_that_nobody_knows_go_through_as_bytes(stage: Stage) -> None:
 
 def test_over_tls_roles_are_asked(tmp_path: Path) -> None:
     pki = Pki(tmp_path)
-    seen: list[object] = []
+    calls: list[object] = []
 
-    def authorize(asked: object) -> bool:
-        seen.append(asked)
-        return asked.role == "Operator"  # type: ignore[attr-defined]
+    def authorize(request: object) -> bool:
+        calls.append(request)
+        return request.role == "Operator"  # type: ignore[attr-defined]
 
     with (
         Server({1: small()}).background("tcp://127.0.0.1:0") as behind,
@@ -102,8 +102,8 @@ def test_over_tls_roles_are_asked(tmp_path: Path) -> None:
                     continue
                 with pytest.raises(IllegalFunction):
                     context.write_register(3, 5)
-    assert seen[0].writes == (Access("holding_registers", 3, 1, (4,), 0, 1, *_who(seen[0])),)  # type: ignore[attr-defined]
+    assert calls[0].writes == (Access("holding_registers", 3, 1, (4,), 0, 1, *_who(calls[0])),)  # type: ignore[attr-defined]
 
 
-def _who(asked: Any) -> tuple[str, str | None]:
-    return asked.peer, asked.role
+def _who(request: Any) -> tuple[str, str | None]:
+    return request.peer, request.role

@@ -19,8 +19,8 @@ from libmodbus_py import (
 )
 from libmodbus_py.services.gateway.silent_units import SilentUnits, UnitState
 from tests.services.gateway.gates import LINE, adu, gateway, small
+from tests.simulation.lan import Lan
 from tests.simulation.scripted import Scripted, Write
-from tests.simulation.stage import Stage
 from tests.support.cases import each_case
 from tests.support.gateways import passage
 
@@ -32,50 +32,50 @@ def value(unit: int, address: int) -> int:
     return (unit * 10_000 + address) & 0xFFFF
 
 
-def test_late_answers_are_never_anybody_elses(stage: Stage) -> None:
+def test_late_answers_go_to_no_other_request(lan: Lan) -> None:
     """A unit whose every third answer comes after its timeout, and good ones beside it."""
     framer = framing.make_framer("rtu", "server")
-    asked: Counter[int] = Counter()
+    counts: Counter[int] = Counter()
 
     def answer(request: bytes, write: Write) -> None:
         unit, address = request[0], int.from_bytes(request[2:4], "big")
-        asked[unit] += 1
-        is_late = unit == 2 and asked[unit] % 3 == 0
+        counts[unit] += 1
+        is_late = unit == 2 and counts[unit] % 3 == 0
         pdu = b"\3\2" + value(unit, address).to_bytes(2, "big")
         write(framer.encode(framing.Frame(unit, pdu)), after=0.6 if is_late else 0.0)
 
-    Scripted(stage, LINE, answer)
+    Scripted(lan, LINE, answer)
 
     async def poll(client: AsyncClient, unit: int, first: int) -> tuple[int, int]:
         right = failed = 0
         for at in range(first, first + 60):
             try:
-                got = await client.for_unit(unit).read_holding_registers(at, 1)
+                values = await client.for_unit(unit).read_holding_registers(at, 1)
             except ExceptionResponse:
                 failed += 1
                 continue
-            assert got == [value(unit, at)]
+            assert values == [value(unit, at)]
             right += 1
         return right, failed
 
-    with gateway([Route(f"{LINE}?timeout=0.5")]) as (made, url):
+    with gateway([Route(f"{LINE}?timeout=0.5")]) as (gateway_, url):
 
         async def all_of_them() -> list[tuple[int, int]]:
             async with AsyncClient(url, timeout=10) as one, AsyncClient(url, timeout=10) as other:
                 jobs = [poll(one, 1, 0), poll(one, 2, 300), poll(other, 3, 500), poll(other, 2, 7)]
                 return await asyncio.gather(*jobs)
 
-        found = stage.wait(all_of_them())
-        assert [right for right, _ in found[::2]] == [60, 60]
-        assert sum(failed for _, failed in found[1::2]) > 0
-        (line,) = made.traffic.lines.values()
+        results = lan.wait(all_of_them())
+        assert [right for right, _ in results[::2]] == [60, 60]
+        assert sum(failed for _, failed in results[1::2]) > 0
+        (line,) = gateway_.traffic.lines.values()
         assert line.units[2].answers > 0
-        stage.pass_time(1)
+        lan.pass_time(1)
         assert line.connection.late_answers > 0
 
 
 def test_a_client_without_ids_that_asks_again_gets_the_answer_to_the_second_request_only(
-    stage: Stage,
+    lan: Lan,
 ) -> None:
     """It has given up the first request: the answer to that would be taken for the second's."""
     device = small()
@@ -84,9 +84,9 @@ def test_a_client_without_ids_that_asks_again_gets_the_answer_to_the_second_requ
     options = "timeout=5&max_in_flight=2"
     with (
         passage(
-            "rtu+tcp", "tcp", {1: device}, faults=slow, line_options=options, stage=stage
+            "rtu+tcp", "tcp", {1: device}, faults=slow, line_options=options, lan=lan
         ) as through,
-        stage.talk(through.url) as client,
+        lan.client(through.url) as client,
     ):
         framer = framing.make_framer("rtu", "server")
         first, second = (
@@ -94,10 +94,10 @@ def test_a_client_without_ids_that_asks_again_gets_the_answer_to_the_second_requ
             for at in (3, 4)
         )
         client.sendall(first)
-        stage.pass_time(0.05)
+        lan.pass_time(0.05)
         client.sendall(second)
         assert client.receive(7)[3:5] == b"\0\4"
-        stage.pass_time(3000)
+        lan.pass_time(3000)
         assert not client.has_input()
         (line,) = through.gateway.traffic.lines.values()
         assert line.unwanted == 1
@@ -126,8 +126,8 @@ def test_a_write_waits_for_the_repetition_of_the_read_before_it(target: str) -> 
             host, port = running.urls[0].removeprefix("tcp://").split(":")
             with socket.create_connection((host, int(port)), timeout=10) as client:
                 client.sendall(adu(READ, 1) + adu(WRITE, 2))
-                expected = adu(bytes.fromhex("03 02 0005"), 1) + adu(WRITE, 2)
-                assert client.makefile("rb").read(len(expected)) == expected
+                answers = adu(bytes.fromhex("03 02 0005"), 1) + adu(WRITE, 2)
+                assert client.makefile("rb").read(len(answers)) == answers
 
 
 def test_requests_that_were_in_flight_with_it_do_not_make_it_rest_longer() -> None:

@@ -21,9 +21,9 @@ from tests.services.gateway.gates import (
     gateway,
     on_line,
 )
+from tests.simulation.lan import Lan
 from tests.simulation.scripted import Scripted
-from tests.simulation.stage import Stage
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 
 STREAMS = ["tcp://10.0.0.1", "tls://10.0.0.1", "rtu+tcp://10.0.0.1"]
 
@@ -44,13 +44,13 @@ def test_a_request_that_waits_for_the_connection_is_not_sent(url: str) -> None:
     plant = mute(url, f"timeout=5&connect_delay={CONNECT_DELAY}")
 
     async def main() -> None:
-        asked = [
+        requests = [
             plant.ask(1, Asker(), WRITE),
             plant.ask(2, Asker(), merge=True),
             plant.ask(2, Asker(), merge=True),
         ]
         await asyncio.sleep(CONNECT_DELAY / 2)
-        for each in asked:
+        for each in requests:
             plant.line.leave(each)
         assert plant.line.statistics.in_flight == 0
         await asyncio.sleep(2 * CONNECT_DELAY)
@@ -67,9 +67,9 @@ def test_a_request_without_an_answer_is_not_sent_again(url: str) -> None:
     plant = mute(url, "timeout=0.5&retries=3")
 
     async def main() -> None:
-        gone = plant.ask(1, Asker())
+        request = plant.ask(1, Asker())
         await asyncio.sleep(0.1)
-        plant.line.leave(gone)
+        plant.line.leave(request)
         await asyncio.sleep(5)
         assert len(plant.peer.requests) == 1
 
@@ -101,18 +101,18 @@ def test_a_trial_that_waits_for_the_connection_is_not_sent(url: str) -> None:
 
 
 @pytest.mark.parametrize(("scheme", "is_sent"), [("tcp", False), ("rtu+tcp", True)])
-def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(stage: Stage, scheme, is_sent):
+def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(lan: Lan, scheme, is_sent):
     """On a serial line nobody waits for a broadcast."""
-    peer = Scripted(stage, LINE, lambda request, write: None)
+    peer = Scripted(lan, LINE, lambda request, write: None)
     route = Route(f"{LINE}?connect_delay={CONNECT_DELAY}")
     write = bytes.fromhex(WRITE)
     frame = adu(write, unit=0) if scheme == "tcp" else rtu((b"\0" + write).hex())
     with gateway([route], f"{scheme}://10.0.0.1:0") as (_, url):
-        client = stage.talk(url, "10.0.0.2")
+        client = lan.client(url, "10.0.0.2")
         client.sendall(frame)
-        stage.pass_time(CONNECT_DELAY / 2)
+        lan.pass_time(CONNECT_DELAY / 2)
         client.reset()
-        stage.pass_time(2 * CONNECT_DELAY)
+        lan.pass_time(2 * CONNECT_DELAY)
         assert len(peer.requests) == is_sent
 
 
@@ -176,10 +176,10 @@ async def test_a_write_that_tries_a_unit_makes_way_for_others(plant: Plant) -> N
     for _ in range(3):
         plant.ask(1, Asker())
         await asyncio.sleep(0.1)
-    tried, other = Asker(), Asker()
-    plant.ask(9, tried, WRITE)
+    writer, other = Asker(), Asker()
+    plant.ask(9, writer, WRITE)
     plant.ask(1, other)
     await asyncio.sleep(3 * plant.delay)
-    assert tried.answers == [f"86{NO_ANSWER:02x}"]
+    assert writer.answers == [f"86{NO_ANSWER:02x}"]
     assert other.answers == [answer_of(1, 6)]
     assert plant.unit(9).given_up == 1

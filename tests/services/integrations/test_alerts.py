@@ -17,14 +17,14 @@ TESTS = Path(__file__).with_name("alerts_test.yml")
 @pytest.mark.skipif(shutil.which("promtool") is None, reason="Prometheus is not installed")
 @each_case("arguments", [("check", "rules", "--lint-fatal", RULES), ("test", "rules", TESTS)])
 def test_promtool_accepts_the_rules_and_what_they_report(arguments: tuple[str | Path, ...]) -> None:
-    done = subprocess.run(["promtool", *arguments], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stdout + done.stderr
+    result = subprocess.run(["promtool", *arguments], capture_output=True, text=True, timeout=60)
+    assert result.returncode == 0, result.stdout + result.stderr
 
 
 def test_rules_and_their_tests_use_metrics_that_exist() -> None:
     names = {each.name + ("_total" if each.type == "counter" else "") for each in FAMILIES}
-    used = set(re.findall(r"\bmodbus_\w+", RULES.read_text() + TESTS.read_text()))
-    assert used - names == set()
+    metrics = set(re.findall(r"\bmodbus_\w+", RULES.read_text() + TESTS.read_text()))
+    assert metrics - names == set()
 
 
 def test_each_alert_is_tested() -> None:

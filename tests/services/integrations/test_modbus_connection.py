@@ -30,7 +30,7 @@ LONG, SHORT = 5.0, 0.2
 Ask = Callable[[Any], Coroutine[Any, Any, Any]]
 
 
-async def asked(connection: Any, ask: Ask) -> Any:
+async def call(connection: Any, ask: Ask) -> Any:
     """The answer of unit 1, or the error."""
     try:
         return await ask(connection.for_unit(1))
@@ -128,7 +128,7 @@ IDENTIFIERS = {
 @pytest.mark.parametrize(("data", "identifier"), IDENTIFIERS.items())
 def test_identifier_ends_before_the_run_indicator(data: bytes, identifier: bytes) -> None:
     with FakeServer(lambda r: [mbap(r, bytes([0x11, len(data)]) + data)]) as server:
-        assert run(asked(tcp(server.port), lambda u: u.report_server_id())) == identifier
+        assert run(call(tcp(server.port), lambda u: u.report_server_id())) == identifier
 
 
 # Answer to a read of one register -> what becomes of it, whether the link stays, and the message.
@@ -152,7 +152,7 @@ ERRORS: dict[str, tuple[Callable[[bytes], list[bytes]], str, bool, str]] = {
 
 
 @pytest.mark.parametrize(("answer", "name", "stays", "text"), ERRORS.values(), ids=ERRORS)
-def test_errors_are_theirs(answer: Any, name: str, stays: bool, text: str) -> None:
+def test_errors_are_of_their_classes(answer: Any, name: str, stays: bool, text: str) -> None:
     async def go() -> None:
         connection = tcp(server.port, SHORT)
         try:
@@ -179,7 +179,7 @@ def test_answer_of_another_unit_on_a_line_drops_it() -> None:
         connection = backend.ModbusConnection(
             theirs.ModbusSerialParams(device=line.path), timeout=SHORT
         )
-        error = run(asked(connection, seven))
+        error = run(call(connection, seven))
     assert isinstance(error, theirs.ModbusDesyncError)
 
 
@@ -195,7 +195,7 @@ WRONG: dict[str, Ask] = {
 def test_wrong_arguments_stay_value_errors_and_are_not_sent(ask: Ask) -> None:
     with FakeServer(lambda r: [echo(r)]) as server:
         with pytest.raises(ValueError, match="must"):
-            run(asked(tcp(server.port), ask))
+            run(call(tcp(server.port), ask))
         assert server.requests == []
 
 
@@ -245,7 +245,7 @@ def test_params_that_lead_nowhere_are_refused_at_once(make: Make, text: str) -> 
     assert "\n" not in str(caught.value)
 
 
-def test_other_wrong_arguments() -> None:
+def test_wrong_parameters_times_and_units_are_refused() -> None:
     with pytest.raises(TypeError, match=r"params must be one of ModbusTcpParams, .* not str"):
         backend.ModbusConnection("tcp://192.0.2.10")
     for name in ("timeout", "message_spacing", "connect_delay"):
@@ -260,7 +260,7 @@ def test_other_wrong_arguments() -> None:
 def test_an_unreachable_device_is_an_error_of_one_line() -> None:
     with refusing() as bound:
         connection = tcp(bound.getsockname()[1])
-        error = run(asked(connection, seven))
+        error = run(call(connection, seven))
     assert type(error) is theirs.ModbusConnectionError
     assert str(error).startswith("read_holding_registers(7, 1): ")
     assert "refused" in str(error)
@@ -268,7 +268,7 @@ def test_an_unreachable_device_is_an_error_of_one_line() -> None:
     assert connection.statistics.failed_connects == 1
 
 
-def test_tls_with_certificates_of_both(pki: Pki) -> None:
+def test_tls_with_certificates_of_both_connects(pki: Pki) -> None:
     own = pki.files(certificates.client())
     with Server(device(), security=pki.server()).background(f"tls://{HOST}:0") as running:
         port = int(running.urls[0].rpartition(":")[2])
@@ -280,14 +280,14 @@ def test_tls_with_certificates_of_both(pki: Pki) -> None:
             client_key=str(own.key),
         )
         connection = backend.ModbusConnection(params, timeout=LONG)
-        assert run(asked(connection, lambda u: u.read_coils(0, 3))) == [True, False, True]
+        assert run(call(connection, lambda u: u.read_coils(0, 3))) == [True, False, True]
 
 
 def test_files_of_tls_are_named(tmp_path: Path) -> None:
     for options in ({"verify": "/none.pem"}, {"client_cert": "/none.pem"}, {"verify": __file__}):
         params = theirs.ModbusTlsParams(host=HOST, port=1, **options)
         with pytest.raises(ValueError, match=f"cannot use .*{next(iter(options.values()))}"):
-            run(asked(backend.ModbusConnection(params), seven))
+            run(call(backend.ModbusConnection(params), seven))
 
 
 def test_prometheus_takes_a_connection() -> None:
@@ -297,6 +297,6 @@ def test_prometheus_takes_a_connection() -> None:
     with FakeServer(lambda r: [echo(r)]) as server:
         connection = tcp(server.port)
         prometheus.collect(connection, registry=registry)
-        run(asked(connection, seven))
+        run(call(connection, seven))
         text = client.generate_latest(registry).decode()
     assert f'modbus_client_responses_total{{endpoint="{server.url}"}} 1.0' in text

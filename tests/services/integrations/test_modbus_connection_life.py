@@ -15,7 +15,7 @@ import pytest
 
 from libmodbus_py.protocol.framing import Frame, make_framer
 from tests.support import peers as fake
-from tests.support.peers import FakeServer, FakeUnit, LinePeer, dead
+from tests.support.peers import FakeServer, FakeUnit, LinePeer, mute_port
 from tests.support.scripted import Scripted, Write, answer, echo, ignore, run
 
 theirs: Any = pytest.importorskip(
@@ -77,30 +77,30 @@ def hang_up(server: Scripted) -> Callable[[bytes, Write], object]:
 async def test_a_loss_in_the_midst_fails_the_request_and_is_told_once(
     server: Scripted, connection: Any
 ) -> None:
-    told: list[bool] = []
-    connection.on_connection_lost(lambda: told.append(connection.connected))
+    losses: list[bool] = []
+    connection.on_connection_lost(lambda: losses.append(connection.connected))
     await read(connection)
     server.on_request = hang_up(server)
     with pytest.raises(theirs.ModbusConnectionError, match=r"^read_holding_registers\(7, 1\)"):
         await read(connection)
     await asyncio.sleep(0)
-    assert told == [False]
+    assert losses == [False]
     assert len(server.requests) == 2  # none was sent twice
     server.on_request = echo
     assert await read(connection) == [7]
     assert server.connections == 2
     await connection.close()
     await asyncio.sleep(0)
-    assert told == [False]  # closing is not a loss
+    assert losses == [False]  # closing is not a loss
 
 
 @served()
 async def test_a_loss_at_rest_is_told_without_a_request(server: Scripted, connection: Any) -> None:
-    told: list[None] = []
-    connection.on_connection_lost(lambda: told.append(None))
+    losses: list[None] = []
+    connection.on_connection_lost(lambda: losses.append(None))
     await read(connection)
     server.drop_all()
-    await until(lambda: told)
+    await until(lambda: losses)
     assert not connection.connected
     assert "connection lost" in connection.last_error
 
@@ -123,7 +123,7 @@ def test_a_callback_that_raises_harms_nobody() -> None:
     complaints: list[Any] = []
 
     async def go() -> None:
-        asyncio.get_running_loop().set_exception_handler(lambda _, said: complaints.append(said))
+        asyncio.get_running_loop().set_exception_handler(lambda _, error: complaints.append(error))
         async with Scripted(echo).serving() as server:
             connection = tcp(server.port)
             connection.on_connection_lost(lambda: 1 // 0)
@@ -140,11 +140,11 @@ def test_a_callback_that_raises_harms_nobody() -> None:
 
 @served(timeout=SHORT)
 async def test_a_late_answer_is_not_the_next_ones(server: Scripted, connection: Any) -> None:
-    held: list[bytes] = []
+    requests: list[bytes] = []
 
     def late(request: bytes, write: Write) -> None:
-        held.append(request)
-        for each in held if len(held) > 1 else []:
+        requests.append(request)
+        for each in requests if len(requests) > 1 else []:
             write(answer(each))
 
     server.on_request = late
@@ -191,14 +191,14 @@ async def test_one_request_at_a_time_whoever_asks(server: Scripted, connection: 
         asyncio.get_running_loop().call_later(0.002, done)
 
     server.on_request = slowly
-    found = await asyncio.gather(*(read(connection, number) for number in range(20)))
-    assert found == [[number] for number in range(20)]
+    values = await asyncio.gather(*(read(connection, number) for number in range(20)))
+    assert values == [[number] for number in range(20)]
     assert (most, server.connections) == (1, 1)
 
 
 @pytest.mark.parametrize("turns", range(12))
 @served()
-async def test_cancelled_at_any_moment(server: Scripted, connection: Any, turns: int) -> None:
+async def test_cancelled_reads_mix_no_answer(server: Scripted, connection: Any, turns: int) -> None:
     """It leaves neither a lock held nor a link that answers the wrong request."""
     asking = asyncio.create_task(read(connection, 1))
     for _ in range(turns):
@@ -227,7 +227,7 @@ def test_connecting_that_nobody_waits_for_leaves_nothing(turns: int) -> None:
     run(go())
 
 
-def test_closing_while_it_connects() -> None:
+def test_closing_while_it_connects_fails_the_request() -> None:
     async def go() -> None:
         connection = tcp(port, SHORT)
         asking = asyncio.create_task(read(connection))
@@ -238,7 +238,7 @@ def test_closing_while_it_connects() -> None:
         with pytest.raises(theirs.ClientClosedError, match=r"^read_holding_registers\(7, 1\): "):
             await read(connection)
 
-    with dead() as port:
+    with mute_port() as port:
         run(go())
 
 
@@ -274,7 +274,7 @@ def test_many_reconnections_leave_nothing() -> None:
 
 def test_another_event_loop_is_refused_in_their_words() -> None:
     async def go_on() -> None:
-        connection = made.pop()
+        connection = connections.pop()
         with pytest.raises(theirs.ModbusConnectionError, match="another event loop"):
             await read(connection)
         with pytest.raises(theirs.ModbusConnectionError, match="another event loop"):
@@ -282,12 +282,12 @@ def test_another_event_loop_is_refused_in_their_words() -> None:
 
     def in_two_loops() -> None:
         with asyncio.Runner() as first:
-            first.run(read(made[0]))
+            first.run(read(connections[0]))
             asyncio.run(go_on())
             gc.collect()  # while the loop is there, which its timer belongs to
 
     with FakeServer(lambda request: [fake.echo(request)]) as server:
-        made = [tcp(server.port)]
+        connections = [tcp(server.port)]
         with pytest.warns(ResourceWarning, match="was not closed"):
             in_two_loops()
 
@@ -340,10 +340,10 @@ async def test_a_unit_that_needs_longer_gets_a_new_link(server: Scripted, connec
 
 
 def test_a_unit_whose_late_answer_may_come_holds_up_no_other_unit() -> None:
-    asked: list[int] = []
+    units: list[int] = []
 
     def answer_for_2(request: bytes, write: fake.Write) -> None:
-        asked.append(request[0])
+        units.append(request[0])
         if request[0] == 2:
             write(fake.answer(request, "rtu"))
 
@@ -355,7 +355,7 @@ def test_a_unit_whose_late_answer_may_come_holds_up_no_other_unit() -> None:
             again = asyncio.create_task(read(connection))
             await asyncio.sleep(0)
             assert await connection.for_unit(2).read_holding_registers(7, 1) == [7]
-            assert asked == [1, 2]
+            assert units == [1, 2]
             with pytest.raises(theirs.ModbusTimeoutError):
                 await again
             await connection.close()

@@ -98,11 +98,11 @@ def folder(tmp_path: Path) -> Path:
 
 def models(folder: Path) -> Path:
     """Return a Git repository with the definitions of SunSpec's models, as theirs has them."""
-    found = find_spec("sunspec2")
-    assert found is not None
-    assert found.origin is not None
+    spec = find_spec("sunspec2")
+    assert spec is not None
+    assert spec.origin is not None
     repository = folder / "sunspec-models"
-    shutil.copytree(Path(found.origin).parent / "models" / "json", repository / "json")
+    shutil.copytree(Path(spec.origin).parent / "models" / "json", repository / "json")
     author = ["-c", "user.name=tests", "-c", "user.email=tests@example.org"]
     for words in (["init", "-q"], ["add", "."], [*author, "commit", "-q", "-m", "Models"]):
         subprocess.run(["git", *words], cwd=repository, check=True)
@@ -124,7 +124,7 @@ def outcomes(folder: Path) -> dict[str, str]:
         "GIT_CONFIG_KEY_0": f"url.{models(folder).as_uri()}.insteadOf",
         "GIT_CONFIG_VALUE_0": "https://github.com/sunspec/models",
     }
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", *options, "tests"],
         cwd=folder,
         env=surroundings,
@@ -133,8 +133,8 @@ def outcomes(folder: Path) -> dict[str, str]:
         timeout=270,
         check=False,
     )
-    assert done.returncode in (0, 1), done.stdout + done.stderr
-    print(done.stdout)
+    assert result.returncode in (0, 1), result.stdout + result.stderr
+    print(result.stdout)
     cases = ElementTree.parse(report).iter("testcase")
     return {
         f"{case.get('classname')}::{case.get('name')}": next(
@@ -146,10 +146,10 @@ def outcomes(folder: Path) -> dict[str, str]:
 
 @pytest.mark.timeout(300)
 def test_the_tests_of_modbus_connection_pass_but_those_about_tmodbus(folder: Path) -> None:
-    found = outcomes(folder)
-    passed = {test for test, outcome in found.items() if outcome == "passed"}
-    failed = {test for test, outcome in found.items() if outcome in ("failure", "error")}
-    skipped = found.keys() - passed - failed
+    results = outcomes(folder)
+    passed = {test for test, outcome in results.items() if outcome == "passed"}
+    failed = {test for test, outcome in results.items() if outcome in ("failure", "error")}
+    skipped = results.keys() - passed - failed
     assert failed - NOT_OURS.keys() == set()
     assert NOT_OURS.keys() - failed == set(), "these are about ours, too"
     assert skipped == set()

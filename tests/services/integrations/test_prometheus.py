@@ -70,26 +70,26 @@ def values(registry: CollectorRegistry) -> Scraped:
 
 def parsed(text: str) -> Scraped:
     """Name and labels -> value; each may be there once."""
-    found: Scraped = {}
+    samples: Scraped = {}
     for family in text_string_to_metric_families(text):
         for sample in family.samples:
             key = sample.name, tuple(sorted(sample.labels.items()))
-            assert key not in found, key
-            found[key] = sample.value
-    return found
+            assert key not in samples, key
+            samples[key] = sample.value
+    return samples
 
 
-def of(found: Scraped, name: str, /, **labels: str) -> float:
-    return found[name, tuple(sorted(labels.items()))]
+def of(samples: Scraped, name: str, /, **labels: str) -> float:
+    return samples[name, tuple(sorted(labels.items()))]
 
 
-def of_client(found: Scraped, name: str, endpoint: str, **labels: str) -> float:
-    return of(found, f"modbus_client_{name}", endpoint=endpoint, **labels)
+def of_client(samples: Scraped, name: str, endpoint: str, **labels: str) -> float:
+    return of(samples, f"modbus_client_{name}", endpoint=endpoint, **labels)
 
 
-def histogram(found: Scraped, endpoint: str) -> list[float]:
+def histogram(samples: Scraped, endpoint: str) -> list[float]:
     name = "request_duration_seconds_bucket"
-    return [of_client(found, name, endpoint, le=f"{bound}") for bound in [*TIME_BOUNDS, "+Inf"]]
+    return [of_client(samples, name, endpoint, le=f"{bound}") for bound in [*TIME_BOUNDS, "+Inf"]]
 
 
 @pytest.fixture
@@ -165,13 +165,13 @@ def test_the_histogram_puts_answers_where_they_belong(registry: CollectorRegistr
             plc.read_holding_registers(0, 1)
         with pytest.raises(ModbusTimeoutError):
             plc.read_holding_registers(0, 1)
-        found = values(registry)
+        samples = values(registry)
     below = [sum(each <= bound for each in took) for bound in TIME_BOUNDS]
-    assert histogram(found, peer.url) == [*below, len(took)]
-    total = of_client(found, "request_duration_seconds_sum", peer.url)
+    assert histogram(samples, peer.url) == [*below, len(took)]
+    total = of_client(samples, "request_duration_seconds_sum", peer.url)
     assert total == pytest.approx(sum(took))
-    timeouts = of_client(found, "requests_total", peer.url, function="3", result="timeout")
-    assert timeouts == of_client(found, "timeouts_total", peer.url)
+    timeouts = of_client(samples, "requests_total", peer.url, function="3", result="timeout")
+    assert timeouts == of_client(samples, "timeouts_total", peer.url)
 
 
 def test_the_last_success_is_a_time_of_day(registry: CollectorRegistry) -> None:
@@ -223,7 +223,7 @@ def test_the_end_of_a_certificate_is_a_metric_while_its_endpoint_is_open(
     name = "modbus_server_certificate_end_timestamp_seconds"
     with server.background("tls://127.0.0.1:0") as running:
         assert registry.get_sample_value(name, {"endpoint": running.urls[0]}) == security.ends
-    assert name not in {found for found, _ in values(registry)}
+    assert name not in {metric for metric, _ in values(registry)}
 
 
 def test_endpoints_are_labels_without_settings(registry: CollectorRegistry) -> None:
@@ -242,8 +242,8 @@ def test_names_tell_servers_apart_and_equal_ones_add_up(registry: CollectorRegis
     collect(servers[2], servers[3], name="boilers", registry=registry)
     collect(servers[4], name="pumps", registry=registry)
     name = "modbus_server_accepted_total"
-    found = {labels: value for (each, labels), value in values(registry).items() if each == name}
-    assert found == {(): 11, (("server", "boilers"),): 1100, (("server", "pumps"),): 10000}
+    samples = {labels: value for (each, labels), value in values(registry).items() if each == name}
+    assert samples == {(): 11, (("server", "boilers"),): 1100, (("server", "pumps"),): 10000}
 
 
 def test_a_client_is_counted_once_however_often_it_is_added(registry: CollectorRegistry) -> None:
@@ -316,10 +316,10 @@ def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegi
             client.write_register(turn % 100, turn)
 
     def scrape() -> list[float]:
-        seen = []
+        counts = []
         while not all(each.done() for each in asking):
-            seen.append(of(values(registry), "modbus_server_requests_total"))
-        return seen
+            counts.append(of(values(registry), "modbus_server_requests_total"))
+        return counts
 
     with contextlib.ExitStack() as stack:
         server, url = stack.enter_context(served())
@@ -412,11 +412,11 @@ def test_a_client_that_does_not_take_the_answer_is_cut_off(registry: CollectorRe
             client.sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
             client.recv(1)
             time.sleep(0.5)
-            taken = 1
+            size = 1
             with contextlib.suppress(ConnectionResetError):
                 while data := client.recv(1 << 20):
-                    taken += len(data)
-    assert taken < 2000 * 10_000
+                    size += len(data)
+    assert size < 2000 * 10_000
 
 
 def test_an_answer_without_end_ends_with_the_server(registry: CollectorRegistry) -> None:
@@ -439,13 +439,13 @@ ARGUMENTS = ["serve", "tcp://127.0.0.1:0"]
 def test_serve_exposes_its_metrics(address: str, stop: int) -> None:
     with Started(*ARGUMENTS, "--metrics", address) as process:
         line = process.stdout.readline()
-        found = re.fullmatch(r"metrics on (http://(\S+):\d+/metrics)\n", line)
-        assert found, line
-        assert found[2] == address.removesuffix(":0")
+        match = re.fullmatch(r"metrics on (http://(\S+):\d+/metrics)\n", line)
+        assert match, line
+        assert match[2] == address.removesuffix(":0")
         url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
         with Client(url, timeout=5) as plc:
             plc.read_holding_registers(0, 1)
-            scraped = fetched(found[1])
+            scraped = fetched(match[1])
         assert of(scraped, "modbus_server_requests_total") == 1
         assert of(scraped, "modbus_server_connections") == 1
         assert ("process_open_fds", ()) in scraped
@@ -454,10 +454,10 @@ def test_serve_exposes_its_metrics(address: str, stop: int) -> None:
 
 
 def test_serve_says_when_the_port_of_metrics_is_taken() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        place = f"127.0.0.1:{taken.getsockname()[1]}"
-        wanted = f"libmodbus-py: cannot listen for metrics on {place}: Address already in use\n"
-        assert run(*ARGUMENTS, "--metrics", place) == (1, "", wanted)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        place = f"127.0.0.1:{listener.getsockname()[1]}"
+        message = f"libmodbus-py: cannot listen for metrics on {place}: Address already in use\n"
+        assert run(*ARGUMENTS, "--metrics", place) == (1, "", message)
 
 
 def test_serve_says_which_extra_is_missing() -> None:
@@ -466,10 +466,10 @@ def test_serve_says_which_extra_is_missing() -> None:
         "from libmodbus_py.cli.main import main\n"
         "sys.exit(main(['serve', 'tcp://127.0.0.1:0', '--metrics', '127.0.0.1:0']))"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (1, "")
-    wanted = f"the exporter needs prometheus_client: {how_to_add('metrics')}"
-    assert done.stderr == f"libmodbus-py: {wanted}\n"
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (result.returncode, result.stdout) == (1, "")
+    message = f"the exporter needs prometheus_client: {how_to_add('metrics')}"
+    assert result.stderr == f"libmodbus-py: {message}\n"
 
 
 @in_simulated_time
@@ -484,16 +484,16 @@ async def test_each_device_is_there_once_and_goes_with_its_fleet() -> None:
             assert of(early, "modbus_fleet_device_up", device="b") == 0
             assert of(early, "modbus_fleet_device_down", device="b", reason="NotPolledYet") == 1
             await until_simulated(lambda: min(each.statistics.readings for each in fleets) > 5)
-            found = values(registry)
-            assert of(found, "modbus_fleet_polls_total") > 2
-            assert of(found, "modbus_fleet_device_up", device="a", site_1="Halle") == 1
+            samples = values(registry)
+            assert of(samples, "modbus_fleet_polls_total") > 2
+            assert of(samples, "modbus_fleet_device_up", device="a", site_1="Halle") == 1
             labels = {"device": "a", "site_1": "Halle", "name": "power", "unit": "W"}
-            assert of(found, "modbus_fleet_value", **labels) == 7
-            assert "modbus_fleet_device_down" not in {name for name, _ in found}
-            named = CollectorRegistry()
-            collect(fleets[0], name="north", registry=named)
+            assert of(samples, "modbus_fleet_value", **labels) == 7
+            assert "modbus_fleet_device_down" not in {name for name, _ in samples}
+            second = CollectorRegistry()
+            collect(fleets[0], name="north", registry=second)
             labels = {"device": "a", "site_1": "Halle", "fleet": "north"}
-            assert of(values(named), "modbus_fleet_device_up", **labels) == 1
+            assert of(values(second), "modbus_fleet_device_up", **labels) == 1
         fleets.clear()
         gc.collect()
         assert not values(registry)
@@ -515,16 +515,16 @@ def test_a_gateway_tells_of_its_lines_and_units() -> None:
                 plc.read_holding_registers(100, 1)
             with pytest.raises(GatewayTargetFailedToRespond):
                 plc.for_unit(6).read_coils(0, 1)
-            found = values(registry)
-    of_gateway = {name: count for (name, labels), count in found.items() if not labels[1:]}
+            samples = values(registry)
+    of_gateway = {name: count for (name, labels), count in samples.items() if not labels[1:]}
     assert of_gateway["modbus_gateway_requests_total"] == 5
     place = (("line", line), ("server", "hall"))
-    assert found["modbus_gateway_line_full_total", place] == 0
-    assert found["modbus_gateway_line_waiting", place] == 0
+    assert samples["modbus_gateway_line_full_total", place] == 0
+    assert samples["modbus_gateway_line_waiting", place] == 0
     unit = (*place, ("unit", "5"))
-    assert found["modbus_gateway_unit_requests_total", unit] == 4
-    assert found["modbus_gateway_unit_exceptions_total", unit] == 1
-    assert found["modbus_gateway_unit_is_silent", unit] == 0
+    assert samples["modbus_gateway_unit_requests_total", unit] == 4
+    assert samples["modbus_gateway_unit_exceptions_total", unit] == 1
+    assert samples["modbus_gateway_unit_is_silent", unit] == 0
     client = (("endpoint", line), ("server", "hall"))
-    assert found["modbus_client_connects_total", client] == 1
-    assert found["modbus_server_accepted_total", (("server", "hall"),)] == 1
+    assert samples["modbus_client_connects_total", client] == 1
+    assert samples["modbus_server_accepted_total", (("server", "hall"),)] == 1

@@ -70,11 +70,11 @@ class OneWorker:
             self.worker.add_change(self.latest[key], at)
 
     def member(
-        self, id: str, at: float = 0.0, state: Any = "here", seen: int | None = None
+        self, id: str, at: float = 0.0, state: Any = "here", revision: int | None = None
     ) -> None:
-        known = self.revision if seen is None else seen
+        number = self.revision if revision is None else revision
         beat = self.revision
-        self.write(f"worker.{id}", Member(id, state, ("",), LEASE, beat, known).encode(), at)
+        self.write(f"worker.{id}", Member(id, state, ("",), LEASE, beat, number).encode(), at)
 
     def hold(self, connection: Connection, holder: str, at: float = 0.0, by: str = "") -> None:
         self.write(connection.slot.key, encode_holder(holder, by or holder), at)
@@ -99,8 +99,8 @@ class OneWorker:
         puts = self.decided(at)
         assert not is_early or (puts, self.worker.active) == ([], active), "it was due"
         for put in puts:
-            known = self.latest.get(put.key)
-            assert put.last == (known.revision if known else 0)
+            record = self.latest.get(put.key)
+            assert put.last == (record.revision if record else 0)
             self.write(put.key, put.value, at)
         return [put for put in puts if put.key != self.worker.key]
 
@@ -111,16 +111,16 @@ class OneWorker:
         return set(self.worker.active)
 
 
-def written(puts: list[Put]) -> dict[str, Any]:
+def records(puts: list[Put]) -> dict[str, Any]:
     """Return what stands in writes: the state of a worker, the holder of a slot, or None."""
-    found: dict[str, Any] = {}
+    states: dict[str, Any] = {}
     for put in puts:
         record = decode(put.key, put.value) if put.value is not None else None
         if isinstance(record, Member):
-            found[put.key] = record.state
+            states[put.key] = record.state
         else:
-            found[put.key] = record.holder if isinstance(record, Holding) else None
-    return found
+            states[put.key] = record.holder if isinstance(record, Holding) else None
+    return states
 
 
 def every(start: float, end: float, pause: float = 1.0) -> list[float]:
@@ -136,8 +136,8 @@ class Bucket:
         self.watchers: list[Process] = []
 
     def put(self, put: Put) -> None:
-        known = self.latest.get(put.key)
-        if (known.revision if known else 0) == put.last:
+        record = self.latest.get(put.key)
+        if (record.revision if record else 0) == put.last:
             self.write(put.key, put.value)
 
     def write(self, key: str, value: bytes | None) -> None:
@@ -285,9 +285,9 @@ class World:
             self.bucket.write(before.bucket_key, None)
 
     def unconfigure(self, number: int) -> None:
-        known = self.connections.pop(f"tcp:192.0.2.{number}:502", None)
-        if known is not None:
-            self.bucket.write(known.bucket_key, None)
+        connection = self.connections.pop(f"tcp:192.0.2.{number}:502", None)
+        if connection is not None:
+            self.bucket.write(connection.bucket_key, None)
 
     def later(self, delay: float, put: Put) -> None:
         heapq.heappush(self.writes, (self.now + delay, next(self.order), put))

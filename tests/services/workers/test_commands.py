@@ -15,9 +15,9 @@ from libmodbus_py.fleet import Output, Reading
 from libmodbus_py.services.fleet.commands import Commands
 from libmodbus_py.services.workers import messages
 from libmodbus_py.services.workers.records import FleetSettings
-from tests.services.workers.trial import INTERVAL, LEASE, Trial, tried
+from tests.services.workers.trial import INTERVAL, LEASE, Trial, on_trial
 from tests.simulation.engine import EngineClient
-from tests.simulation.given import giving
+from tests.simulation.runner import runner_of
 from tests.simulation.workers import push_fleet
 
 INBOX = "_INBOX.u9ii73oAyVwgjXVUkC6cqN"
@@ -87,7 +87,7 @@ def commanded(connections: int = 2) -> Callable[[Any], Any]:
 
         trial.run(whole)
 
-    return giving(run)
+    return runner_of(run)
 
 
 def no_worker(device: str) -> dict[str, Any]:
@@ -110,14 +110,14 @@ async def test_commands_are_carried_out_by_who_has_the_device(to: Listener) -> N
 @commanded()
 async def test_one_worker_answers_for_a_device_that_nobody_has(to: Listener) -> None:
     outcome = {"ok": False, "error": "there is no device 'no.one'", "id": 7}
-    told = await to.heard("no%2Eone.setpoint", b'{"value": 1, "id": 7}')
-    assert told == [("modbus.written.no%2Eone.setpoint", outcome)]
+    messages = await to.heard("no%2Eone.setpoint", b'{"value": 1, "id": 7}')
+    assert messages == [("modbus.written.no%2Eone.setpoint", outcome)]
     await to.heard("kälte.setpoint", b"1")
     assert "there is no device 'kälte'".encode() in to.raw
     await push_fleet(to.trial.engine, to.trial.devices(zone="north"), to.trial.settings)
     await asyncio.sleep(1)
-    told = await to.heard("d0-1.setpoint", b"20")
-    assert told == [("modbus.written.d0-1.setpoint", no_worker("d0-1"))]
+    messages = await to.heard("d0-1.setpoint", b"20")
+    assert messages == [("modbus.written.d0-1.setpoint", no_worker("d0-1"))]
 
 
 @commanded(8)
@@ -202,12 +202,12 @@ async def test_commands_that_wait_are_bounded_and_not_carried_out_any_more(
     monkeypatch.setattr(messages, "MOST_WAITING", 5)
     worker = next(each for each in to.trial.workers if to.device_of(each) == "d0-1")
     polling = to.trial.workers[worker].polling
-    written: list[int] = []
+    numbers: list[int] = []
     # The device takes as long for a write as the push takes to arrive.
     may_end = asyncio.Event()
 
     async def slow(device: str, values: dict[str, int]) -> None:
-        written.extend(values.values())
+        numbers.extend(values.values())
         await may_end.wait()
 
     polling.fleet.write = slow  # type: ignore[method-assign,assignment]
@@ -219,7 +219,7 @@ async def test_commands_that_wait_are_bounded_and_not_carried_out_any_more(
     await asyncio.sleep(0.1)
     may_end.set()
     await asyncio.sleep(1)
-    assert written == [20]
+    assert numbers == [20]
 
 
 class Broker(Output):
@@ -234,7 +234,7 @@ class Broker(Output):
     async def write_readings(self, readings: Sequence[Reading]) -> None: ...
 
 
-@tried(4)
+@on_trial(4)
 async def test_one_of_two_workers_answers_what_comes_over_a_broker(trial: Trial) -> None:
     brokers = [Broker(), Broker()]
 
@@ -261,7 +261,7 @@ async def test_one_of_two_workers_answers_what_comes_over_a_broker(trial: Trial)
 @commanded()
 async def test_outcomes_are_sent_to_inboxes_only(to: Listener) -> None:
     """A worker may purge streams, and must not do so because a command has such a reply."""
-    told = ("modbus.written.d0-1.setpoint", {"ok": True})
+    message = ("modbus.written.d0-1.setpoint", {"ok": True})
     for reply in (
         "$JS.API.STREAM.PURGE.modbus-readings",
         "$KV.modbus-fleet.settings",
@@ -270,11 +270,11 @@ async def test_outcomes_are_sent_to_inboxes_only(to: Listener) -> None:
         f"_INBOX.{'x' * 4000}",
         "_GR_.a.b.$JS.API.STREAM.PURGE.modbus-readings",
     ):
-        assert await to.heard("d0-1.setpoint", b"20", reply) == [told]
+        assert await to.heard("d0-1.setpoint", b"20", reply) == [message]
     for reply in (INBOX, f"{INBOX}.9", "_INBOX_operator.x", "_R_.a.b", f"_GR_.a.b.{INBOX}"):
-        heard = await to.heard("d0-1.setpoint", b"20", reply)
-        assert [each for each in heard if each[0] != reply] == [told]
-    assert await to.heard("d0-1.setpoint", b"20", INBOX) == [(INBOX, {"ok": True}), told]
+        messages = await to.heard("d0-1.setpoint", b"20", reply)
+        assert [each for each in messages if each[0] != reply] == [message]
+    assert await to.heard("d0-1.setpoint", b"20", INBOX) == [(INBOX, {"ok": True}), message]
 
 
 @commanded()
@@ -310,8 +310,8 @@ async def test_values_that_are_no_json_are_refused(to: Listener) -> None:
         b'{"a":' * 800,
         b"[[[" + b'"\\' * 2000,
     ):
-        (answer, told) = await to.heard("d0-1.setpoint", data, INBOX)
+        (answer, outcome) = await to.heard("d0-1.setpoint", data, INBOX)
         assert answer[0] == INBOX
         assert answer[1]["error"].startswith("it must be a value in JSON, not ")
-        assert told[1] == answer[1]
+        assert outcome[1] == answer[1]
     assert to.trial.levels.holding_registers[1] == 0

@@ -9,7 +9,7 @@ from libmodbus_py.services.engine.buckets import Change
 from libmodbus_py.services.workers.decisions import step
 from libmodbus_py.services.workers.records import SETTINGS, Connection, FleetSettings, Member
 from libmodbus_py.services.workers.worker import Worker
-from tests.services.workers.simulated import LEASE, OneWorker, every, written
+from tests.services.workers.simulated import LEASE, OneWorker, every, records
 
 LINE = Connection("", "tcp:192.0.2.1:502", 1.0, '{"devices": [{"name": "pump"}]}')
 OTHER = Connection("", "tcp:192.0.2.2:502", 1.0, '{"devices": []}')
@@ -70,7 +70,7 @@ class TestSnapshot:
         one.steps(*every(0.0, 8.0))
         one.read_again(8.0)
         assert one.steps(9.0, 10.0) == []
-        assert written(one.steps(11.0)) == {"worker.o.1": "ended"}
+        assert records(one.steps(11.0)) == {"worker.o.1": "ended"}
 
 
 class TestLease:
@@ -102,14 +102,14 @@ class TestSlots:
         puts = one.decided(12.1)
         (slot,) = (put for put in puts if put.key != one.worker.key)
         (moved,) = (each for each in (LINE, OTHER) if each.slot.key == slot.key)
-        assert written([slot]) == {moved.slot.key: "b.1"}
+        assert records([slot]) == {moved.slot.key: "b.1"}
         assert one.polled() == {LINE.key, OTHER.key} - {moved.key}
         # The write may still succeed when its heir has gone, and all was read again: only a second
         # write of the same key shows that it did not.
         one.member("b.1", 12.2, "ended")
         one.read_again(12.2)
         (again,) = (put for put in one.decided(14.2) if put.key != one.worker.key)
-        assert (again.last, written([again])) == (slot.last, {slot.key: "m.1"})
+        assert (again.last, records([again])) == (slot.last, {slot.key: "m.1"})
         assert one.polled() == {LINE.key, OTHER.key} - {moved.key}
         one.write(again.key, again.value, 14.3)
         one.step(14.3)
@@ -144,15 +144,15 @@ class TestSlots:
 class TestAcknowledgements:
     def test_a_connection_waits_until_all_others_have_seen_it(self) -> None:
         one = OneWorker(LINE)
-        one.member("b.1", 0.0, seen=0)
+        one.member("b.1", 0.0, revision=0)
         one.hold(LINE, "m.1", by="m.1")
         one.step(0.0)
         assert one.polled() == set()
         touched = one.worker.view.touched_at(LINE)
-        one.member("b.1", 0.5, seen=touched - 1)
+        one.member("b.1", 0.5, revision=touched - 1)
         one.step(0.5)
         assert one.polled() == set()
-        one.member("b.1", 0.6, seen=touched)
+        one.member("b.1", 0.6, revision=touched)
         one.step(0.6)
         assert one.polled() == {LINE.key}
 
@@ -196,8 +196,8 @@ class TestBucketThatLies:
 
     def test_a_worker_that_claims_to_have_seen_all_speaks_for_itself_only(self) -> None:
         one = OneWorker(LINE)
-        one.member("b.1", seen=10**30)
-        one.member("c.1", seen=0)
+        one.member("b.1", revision=10**30)
+        one.member("c.1", revision=0)
         one.hold(LINE, "m.1", by="m.1")
         one.step(0.0)
         assert one.polled() == set()

@@ -57,7 +57,7 @@ def test_the_configuration_of_nats_works_as_it_stands(tmp_path, monkeypatch, cap
         text = text.replace("0.0.0.0:8883", f"127.0.0.1:{mqtt[number]}")
         return re.sub(r"\n  (routes|store_dir): .*", "", text)
 
-    with NatsServers(3, config=config) as servers, asked_devices(1) as (urls, asked):
+    with NatsServers(3, config=config) as servers, asked_devices(1) as (urls, devices):
         # They may have elected a leader meanwhile, who is not the same after a new start.
         for number in range(3):
             servers.kill(number)
@@ -87,17 +87,17 @@ def test_the_configuration_of_nats_works_as_it_stands(tmp_path, monkeypatch, cap
             servers.start(1)
             if nats_version() < (2, 15):
                 until(lambda: "too few servers are up" in workers.said("b"), PATIENCE)
-            assert asked.polls == 0
+            assert devices.polls == 0
             servers.start(2)
-            until(lambda: asked.polls > 0, PATIENCE)
-            told = [line for line in workers.said("b").splitlines() if "waiting" in line]
-            assert 0 < len(told) == len(set(told))
+            until(lambda: devices.polls > 0, PATIENCE)
+            lines = [line for line in workers.said("b").splitlines() if "waiting" in line]
+            assert 0 < len(lines) == len(set(lines))
 
             looking = ["mosquitto_sub", "-h", "127.0.0.1", "-p", str(mqtt[0])]
             looking += ["-u", "viewer", "-P", "VIEWER_PASSWORD-x", "-t", "modbus/readings/#"]
             looking += ["--cafile", str(ca), "-C", "1", "-W", "90"]
-            heard = subprocess.run(looking, capture_output=True, text=True, timeout=120)
-            assert json.loads(heard.stdout)["values"]["level"]["quality"] == "good", heard.stderr
+            result = subprocess.run(looking, capture_output=True, text=True, timeout=120)
+            assert json.loads(result.stdout)["values"]["level"]["quality"] == "good", result.stderr
             refused: asyncio.Queue[Exception] = asyncio.Queue()
             login: dict[str, Any] = {"user": "viewer", "password": "VIEWER_PASSWORD-x"}
             servers.ask(
@@ -110,11 +110,11 @@ def test_the_configuration_of_nats_works_as_it_stands(tmp_path, monkeypatch, cap
             login = {"user": POLLER["NATS_USER"], "password": POLLER["NATS_PASSWORD"]}
             servers.kill(servers.leader(f"KV_{BUCKET}", **login, tls=trusting))
             # A lease that nobody confirms is over by then.
-            lost = time.monotonic() + 2.0
-            until(lambda: asked.since(lost) == UNITS, PATIENCE)
+            start = time.monotonic() + 2.0
+            until(lambda: devices.since(start) == UNITS, PATIENCE)
             workers.signal("b", signal.SIGTERM)
             assert workers.ended("b", PATIENCE) == 0
-        assert asked.doubles == 0
+        assert devices.doubles == 0
 
 
 def nats_version() -> tuple[int, ...]:
@@ -124,8 +124,8 @@ def nats_version() -> tuple[int, ...]:
 
 
 def _is_waiting(workers: Workers, name: str) -> bool:
-    said = workers.said(name)
-    return "waiting for the engine" in said and ("no leader" in said or "no answer" in said)
+    text = workers.said(name)
+    return "waiting for the engine" in text and ("no leader" in text or "no answer" in text)
 
 
 async def viewer_may_only_look(client: Any, refused: asyncio.Queue[Exception]) -> None:
@@ -141,14 +141,14 @@ def test_systemd_takes_the_unit(command, tmp_path):
     text = (DEPLOY / unit.name).read_text()
     # Its program is not installed here.
     unit.write_text(text.replace("/opt/libmodbus-py/bin/libmodbus-py", "/bin/true"))
-    done = subprocess.run(
+    result = subprocess.run(
         ["systemd-analyze", "verify", "--man=no", str(unit)],
         capture_output=True,
         text=True,
         timeout=30,
     )
-    told = [line for line in done.stderr.splitlines() if unit.name in line]
-    assert told == []
+    lines = [line for line in result.stderr.splitlines() if unit.name in line]
+    assert lines == []
 
 
 def test_files_that_compose_mounts_and_reads_are_explained_beside_it():

@@ -26,9 +26,9 @@ mqtt {{ listen: "127.0.0.1:{port}" }}
 
 def failed(*arguments: object, code: int = 1) -> str:
     """Run a command that fails; return the line that it prints."""
-    done = run(*arguments)
-    assert (done.code, done.out, done.err.count("\n")) == (code, "", 1), done.err
-    return done.err
+    result = run(*arguments)
+    assert (result.code, result.out, result.err.count("\n")) == (code, "", 1), result.err
+    return result.err
 
 
 @pytest.fixture
@@ -86,7 +86,7 @@ async def write(client: Any, key: str, value: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--engine", "http://x"], "not 'http://x'"),
         (["--engine", "nats://h:0"], "the port must be in 1..65535: 'nats://h:0'"),
@@ -96,9 +96,9 @@ async def write(client: Any, key: str, value: bytes) -> None:
         (["--engine", "nats://h", "--zone", "a.b"], "zone 'a.b' must be 1..60 letters"),
     ],
 )
-def test_wrong_usage_is_told_before_anything_is_sent(file, options, told):
+def test_wrong_usage_is_told_before_anything_is_sent(file, options, message):
     line = failed("poll", file, *options, code=2)
-    assert told in line
+    assert message in line
     assert "secret" not in line
 
 
@@ -113,27 +113,27 @@ def mosquitto(port: int, topic: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.timeout(300)
-def test_results_commands_and_status(tmp_path):
+def test_outcomes_commands_and_status_go_over_the_engine(tmp_path):
     mqtt = free_ports(1)[0]
     engine = "lease = 2\ncommands = true"
     with (
         NatsServers(config=lambda _: MQTT.format(port=mqtt)) as server,
-        asked_devices(1) as (urls, asked),
+        asked_devices(1) as (urls, devices),
     ):
         file = fleet_file(tmp_path, urls, interval=0.2, engine=engine)
         # A worker whose standard output is closed ends as every command does: silently, with 1.
-        unread, gone = os.pipe()
+        unread, pipe = os.pipe()
         os.close(unread)
         command = [sys.executable, "-m", "libmodbus_py", "poll", str(file), "--json"]
         command += ["--engine", server.urls]
-        done = subprocess.run(command, stdout=gone, stderr=subprocess.PIPE, text=True, timeout=60)
-        os.close(gone)
-        assert done.returncode == 1
-        assert "libmodbus-py:" not in done.stderr
-        polls = asked.polls
+        result = subprocess.run(command, stdout=pipe, stderr=subprocess.PIPE, text=True, timeout=60)
+        os.close(pipe)
+        assert result.returncode == 1
+        assert "libmodbus-py:" not in result.stderr
+        polls = devices.polls
         with Workers(file, tmp_path) as workers:
             workers.start("a", server.urls)
-            until(lambda: asked.polls > polls, 30)
+            until(lambda: devices.polls > polls, 30)
 
             # Commands: one with an answer, and one over MQTT, whose outcome is heard there.
             command_to_write = partial(requested, subject="modbus.write.d0-3.setpoint", value=b"21")
@@ -153,9 +153,9 @@ def test_results_commands_and_status(tmp_path):
             # What cannot be read is told.
             server.ask(partial(write, key="worker.x.y", value=b"[" * 5000))
             command = ("fleet", "status", "--engine", server.urls)
-            told = run(*command, "--json")
-            assert told.out, told.err
-            status = json.loads(told.out)
+            answer = run(*command, "--json")
+            assert answer.out, answer.err
+            status = json.loads(answer.out)
             assert len(status["unreadable"]) == 1
             (here,) = (each for each in status["workers"] if each["state"] == "here")
             assert here["id"].startswith("a.")
@@ -164,10 +164,10 @@ def test_results_commands_and_status(tmp_path):
             # A zone that nobody serves.
             fleet_file(tmp_path, urls, interval=0.2, engine=engine, zone="north")
             assert run("poll", file, "--engine", server.urls, "--push").code == 0
-            done = run(*command)
-            assert done.code == 1
-            assert "no worker polls zone 'north'" in done.err
-            assert any(line.endswith("  no worker") for line in done.out.splitlines())
-            lost = server.ask(command_to_write)
-            assert lost["error"] == "no worker polls 'd0-3' now"
-        assert asked.doubles == 0
+            result = run(*command)
+            assert result.code == 1
+            assert "no worker polls zone 'north'" in result.err
+            assert any(line.endswith("  no worker") for line in result.out.splitlines())
+            reply = server.ask(command_to_write)
+            assert reply["error"] == "no worker polls 'd0-3' now"
+        assert devices.doubles == 0

@@ -24,7 +24,7 @@ from libmodbus_py.services.workers.decisions import step
 from libmodbus_py.services.workers.polling import REPORT_AGAIN_S, TIMEOUT_S, Polling
 from libmodbus_py.services.workers.records import Connection
 from libmodbus_py.services.workers.worker import Decision, Worker
-from tests.services.workers.trial import INTERVAL, LEASE, UNITS, Trial, tried
+from tests.services.workers.trial import INTERVAL, LEASE, UNITS, Trial, on_trial
 from tests.simulation.engine import Engine
 
 MAP = RegisterMap([Point("level", "holding_registers", 0)])
@@ -39,11 +39,11 @@ def record_of(trial: Trial) -> dict[str, Any]:
     """Return the record that the worker wrote last."""
     latest = trial.engine.latest or {}
     (value,) = [each.value for key, each in latest.items() if key.startswith("worker.")]
-    found: dict[str, Any] = json.loads(value or b"")
-    return found
+    record: dict[str, Any] = json.loads(value or b"")
+    return record
 
 
-@tried(2)
+@on_trial(2)
 async def test_a_worker_waits_for_the_longest_lease_reports_and_records_its_end(trial: Trial):
     await trial.start("a")
     took = await trial.all_asked(2 * LEASE)
@@ -58,7 +58,7 @@ async def test_a_worker_waits_for_the_longest_lease_reports_and_records_its_end(
     assert record_of(trial)["state"] == "ended"
 
 
-@tried(1, "a")
+@on_trial(1, "a")
 async def test_a_worker_ends_within_seconds_although_the_engine_is_gone(trial: Trial) -> None:
     trial.engine.stop()
     since = trial.now
@@ -66,7 +66,7 @@ async def test_a_worker_ends_within_seconds_although_the_engine_is_gone(trial: T
     assert trial.now - since == pytest.approx(TIMEOUT_S, abs=0.2)
 
 
-@tried(1, "a")
+@on_trial(1, "a")
 async def test_a_connection_that_is_closed_for_good_or_the_end_of_an_output_ends_it(
     trial: Trial, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -87,7 +87,7 @@ async def test_a_connection_that_is_closed_for_good_or_the_end_of_an_output_ends
         await trial.workers["b"]._task
 
 
-@tried(1)
+@on_trial(1)
 async def test_the_name_of_a_worker_or_of_its_machine_becomes_a_key(trial: Trial) -> None:
     names = ["hall 2.north", "x" * 90, ""]
     await trial.start(*names)
@@ -102,7 +102,7 @@ def test_a_lease_goes_on_while_the_machine_sleeps() -> None:
     assert before <= default() <= time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
-@tried(1, "a")
+@on_trial(1, "a")
 async def test_a_worker_watches_again_when_the_bucket_does_not_arrive_whole(
     trial: Trial, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -126,7 +126,7 @@ async def test_a_worker_watches_again_when_the_bucket_does_not_arrive_whole(
     await trial.all_asked(2 * LEASE)
 
 
-@tried(1, "a")
+@on_trial(1, "a")
 async def test_a_worker_alone_decides_as_often_as_it_renews_its_lease(trial: Trial, monkeypatch):
     decided: list[float] = []
 
@@ -141,7 +141,7 @@ async def test_a_worker_alone_decides_as_often_as_it_renews_its_lease(trial: Tri
     assert len(decided) <= 210  # and when its value is seen
 
 
-@tried(1, "a")
+@on_trial(1, "a")
 async def test_an_engine_that_is_gone_is_told_once_a_minute_and_the_lease_when_it_changes(
     trial: Trial, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -149,22 +149,22 @@ async def test_an_engine_that_is_gone_is_told_once_a_minute_and_the_lease_when_i
         return [each.message for each in caplog.records if "workers" in each.name]
 
     trial.engine.stop()
-    gone = "the engine: modbus-fleet: no server responds"
-    ended = "a: the lease has expired: NATS does not respond"
+    failure = "the engine: modbus-fleet: no server responds"
+    expiry = "a: the lease has expired: NATS does not respond"
     await asyncio.sleep(REPORT_AGAIN_S - 15.0)
-    assert sorted(told()) == [ended, gone]
+    assert sorted(told()) == [expiry, failure]
     await asyncio.sleep(25.0)
-    assert told().count(gone) == 2
+    assert told().count(failure) == 2
     trial.engine.start()
     await trial.settle()
     assert told()[-1] == "a: the lease is valid again"
 
 
-@tried(1)
+@on_trial(1)
 async def test_an_unreadable_record_is_logged_and_polled_by_no_worker(trial: Trial, caplog) -> None:
     def connection(host: int, *names: str, devices: str = "") -> Connection:
-        made = [DeviceConfig(each, f"tcp://10.0.1.{host}", MAP) for each in names]
-        return Connection("", f"tcp:10.0.1.{host}:502", 0.5, devices or devices_to_json(made))
+        devices_ = [DeviceConfig(each, f"tcp://10.0.1.{host}", MAP) for each in names]
+        return Connection("", f"tcp:10.0.1.{host}:502", 0.5, devices or devices_to_json(devices_))
 
     bad = [
         connection(1, devices='{"devices": [{"name": "pump"}]}'),
@@ -178,5 +178,5 @@ async def test_an_unreadable_record_is_logged_and_polled_by_no_worker(trial: Tri
     await trial.start("a")
     await trial.settle()
     assert sorted(trial.workers["a"].polling.fleet.devices) == ["d0-1", "d0-2", "fan", "valve"]
-    told = sorted(text[: text.find(": ", 12)] for text in caplog.messages)
-    assert told == sorted([f"the bucket: {key}" for key in wrong] + [each.key for each in bad])
+    messages = sorted(text[: text.find(": ", 12)] for text in caplog.messages)
+    assert messages == sorted([f"the bucket: {key}" for key in wrong] + [each.key for each in bad])

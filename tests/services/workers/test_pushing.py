@@ -52,9 +52,9 @@ async def test_nothing_is_pushed_where_others_do_at_the_same_time(
 ) -> None:
     put, leases = engine.put, iter(range(11, 99))
 
-    def overtaken(*given: Any) -> None:
+    def overtaken(*arguments: Any) -> None:
         engine.write(SETTINGS, FleetSettings(next(leases)).encode())
-        put(*given)
+        put(*arguments)
 
     monkeypatch.setattr(engine, "put", overtaken)
     with pytest.raises(EngineError, match="other programs change the bucket"):
@@ -68,18 +68,18 @@ async def test_a_bucket_that_does_not_arrive_is_given_up_after_ten_seconds(
 ) -> None:
     engine.write(SETTINGS, FleetSettings(LEASE).encode())
     monkeypatch.setattr(engine, "_feed", lambda consumer: None)
-    begun = engine.events.now
+    start = engine.events.now
     with pytest.raises(EngineGone, match="within 10 s"):
         await read_bucket(engine.bucket(client))
-    assert engine.events.now - begun == pytest.approx(10.0, abs=0.1)
+    assert engine.events.now - start == pytest.approx(10.0, abs=0.1)
     await asyncio.sleep(1)
     assert engine._consumers == []
 
 
 def test_devices_of_a_connection_are_together() -> None:
     first, second = device(1, "a", unit=1, timeout=0.2), device(1, "b", unit=2, timeout=0.7)
-    (made,) = connections_of([first, second], LEASE)
-    assert made.timeout == 0.7
+    (connection,) = connections_of([first, second], LEASE)
+    assert connection.timeout == 0.7
     with pytest.raises(ValueError, match="zone 'north'"):
         connections_of([first, device(1, "b", unit=2, zone="north")], LEASE)
 

@@ -18,7 +18,7 @@ from libmodbus_py.services.workers.records import (
     decode,
     digest_of,
 )
-from tests.services.workers.trial import LEASE, Trial, tried
+from tests.services.workers.trial import LEASE, Trial, on_trial
 from tests.simulation.engine import Engine, EngineClient, with_engine
 from tests.support.golden import Refused
 
@@ -26,8 +26,8 @@ LINE = "serial:/dev/ttyUSB0"
 DIGEST = digest_of(LINE)
 
 
-def value(**given: Any) -> bytes:
-    return json.dumps(given).encode()
+def value(**keys: Any) -> bytes:
+    return json.dumps(keys).encode()
 
 
 def line(connection: str = LINE, timeout: float = 1) -> bytes:
@@ -66,7 +66,7 @@ KEY = "tcp:192.0.2.99:502"
     [[], 7, {}, {"devices": 7}, {"devices": [7, None, {"name": {}}], "maps": []}],
     ids=str,
 )
-@tried(2, settings=FleetSettings(LEASE, commands=True))
+@on_trial(2, settings=FleetSettings(LEASE, commands=True))
 async def test_devices_in_any_form_cost_no_answer_and_no_poll(trial: Trial, devices) -> None:
     await trial.start("a", "b")
     await trial.settle()

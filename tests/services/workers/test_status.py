@@ -58,16 +58,16 @@ def empty(settings: bytes | None = FleetSettings(LEASE).encode()) -> tuple[Netwo
     return network, engine
 
 
-def seen(network: Network, engine: Engine, report: Any = REPORT) -> dict[str, Any]:
+def status_of(network: Network, engine: Engine, report: Any = REPORT) -> dict[str, Any]:
     """Look at the fleet for a quarter of a lease, while one of its workers tells of itself."""
 
     async def main() -> dict[str, Any]:
         client = engine.client()
         looking = asyncio.create_task(fleet_status(engine.bucket(client)))
         await asyncio.sleep(1.0)
-        told = member("alive.1", beat=2, report=report)
+        record = member("alive.1", beat=2, report=report)
         # Others may write a NaN, which this package refuses to write.
-        engine.write(told.bucket_key, told.encode().replace(b'"NaN"', b"NaN"))
+        engine.write(record.bucket_key, record.encode().replace(b'"NaN"', b"NaN"))
         try:
             return await looking
         finally:
@@ -79,8 +79,8 @@ def seen(network: Network, engine: Engine, report: Any = REPORT) -> dict[str, An
     return status
 
 
-def test_workers_zones_and_sums() -> None:
-    status = seen(*plant())
+def test_a_status_has_workers_zones_and_sums() -> None:
+    status = status_of(*plant())
     assert [(each["id"], each["state"], each["slots"]) for each in status["workers"]] == [
         ("alive.1", "here", 1),
         ("ended.3", "ended", 0),
@@ -114,7 +114,7 @@ def test_an_unreadable_record_is_shown_as_not_polled(zone: str, value: object, w
         slot = Connection(zone, KEY, 1.0, "{}").slot
         engine.write(f"connection.{zone or '_'}.{digest_of(KEY)}", json.dumps(value).encode())
         engine.write(slot.key, encode_holder("alive.1", "alive.1"))
-    status = seen(network, engine)
+    status = status_of(network, engine)
     assert is_polled(status) == (not value)
     assert len(status["unreadable"]) == bool(value)
     if value:
@@ -124,7 +124,7 @@ def test_an_unreadable_record_is_shown_as_not_polled(zone: str, value: object, w
 
 
 def test_tables_say_the_same_to_be_read() -> None:
-    status = seen(*plant())
+    status = status_of(*plant())
     status["workers"][0]["zones"] = ["east", "north"]
     status["workers"][1]["id"] = "e" * 30
     status["zones"]["z" * 30] = status["zones"].pop("south")
@@ -145,19 +145,19 @@ unreadable: worker.odd.4: zones is missing"""
 
 
 def test_numbers_of_a_report_that_are_none_count_as_nothing() -> None:
-    status = seen(*plant(), report={"polls": "many", "up": "NaN", "down": 2})
+    status = status_of(*plant(), report={"polls": "many", "up": "NaN", "down": 2})
     numbers = {"connections": 0, "devices": 0, "up": 0, "down": 2, "polls": 0}
     assert status["workers"][0].items() >= numbers.items()
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "message"),
     [
         (None, "there is no fleet yet; put it there with --push"),
         (b'{"format": 99}', "settings: format 99 is not supported; this version reads format 1"),
     ],
 )
-def test_a_bucket_without_a_fleet(settings: bytes | None, said: str) -> None:
+def test_a_bucket_without_a_fleet_has_no_status(settings: bytes | None, message: str) -> None:
     with pytest.raises(EngineError) as refused:
-        seen(*empty(settings))
-    assert str(refused.value) == f"modbus-fleet: {said}"
+        status_of(*empty(settings))
+    assert str(refused.value) == f"modbus-fleet: {message}"

@@ -10,7 +10,7 @@ import json
 import pytest
 
 from libmodbus_py.services.workers.records import FleetSettings
-from tests.services.workers.trial import INTERVAL, LEASE, UNITS, Trial, tried
+from tests.services.workers.trial import INTERVAL, LEASE, UNITS, Trial, on_trial
 from tests.simulation import network
 from tests.simulation.workers import push_fleet
 
@@ -21,7 +21,7 @@ TAKEN_OVER = 1.05 * LEASE + 0.1 + INTERVAL
 OWN_LEASE = 0.9 * LEASE
 
 
-@tried(6, "a", "b", "c")
+@on_trial(6, "a", "b", "c")
 async def test_a_killed_worker_is_replaced_when_its_lease_is_over(trial: Trial) -> None:
     trial.kill("b")
     assert OWN_LEASE - INTERVAL < await trial.all_asked(60) < TAKEN_OVER
@@ -32,7 +32,7 @@ async def test_a_killed_worker_is_replaced_when_its_lease_is_over(trial: Trial) 
     assert len(trial.asked.hosts()) == 3
 
 
-@tried(6, "a", "b")
+@on_trial(6, "a", "b")
 async def test_a_worker_that_joins_gets_its_share_soon_and_without_a_gap(trial: Trial) -> None:
     await trial.start("c")
     assert await trial.until(lambda: len(trial.asked.hosts()) == 3, 60) < 2.0
@@ -41,7 +41,7 @@ async def test_a_worker_that_joins_gets_its_share_soon_and_without_a_gap(trial: 
     assert trial.asked.gap < 2 * INTERVAL
 
 
-@tried(6, "a", "b", "c")
+@on_trial(6, "a", "b", "c")
 async def test_a_worker_that_leaves_is_replaced_at_once(trial: Trial) -> None:
     await trial.workers.pop("b").leave()
     assert await trial.all_asked(60) < 2 * INTERVAL
@@ -53,7 +53,7 @@ async def test_a_worker_that_leaves_is_replaced_at_once(trial: Trial) -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
-@tried(6, "a", "b", "c")
+@on_trial(6, "a", "b", "c")
 async def test_a_worker_that_stood_still_polls_no_device_of_others(trial: Trial, seconds) -> None:
     process = trial.workers["b"].process
     process.stop()
@@ -66,7 +66,7 @@ async def test_a_worker_that_stood_still_polls_no_device_of_others(trial: Trial,
 
 
 @pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
-@tried(6, "a", "b", "c")
+@on_trial(6, "a", "b", "c")
 async def test_a_worker_without_the_engine_polls_no_longer_than_its_lease(trial: Trial, seconds):
     cut = trial.workers["a"]
     host = cut.process.host
@@ -86,7 +86,7 @@ async def test_a_worker_without_the_engine_polls_no_longer_than_its_lease(trial:
 
 
 @pytest.mark.parametrize("seconds", [0.3, 5 * LEASE])
-@tried(6, "a", "b", "c")
+@on_trial(6, "a", "b", "c")
 async def test_without_the_engine_nobody_asks_beyond_the_lease(trial: Trial, seconds) -> None:
     trial.engine.stop()
     since = trial.now
@@ -103,10 +103,10 @@ async def test_without_the_engine_nobody_asks_beyond_the_lease(trial: Trial, sec
     assert trial.qualities() == ["good"]
 
 
-@tried(2, "a", settings=FleetSettings(LEASE, "continue"))
+@on_trial(2, "a", settings=FleetSettings(LEASE, "continue"))
 async def test_a_worker_polls_on_without_the_engine_if_its_settings_say_so(trial: Trial) -> None:
     trial.engine.stop()
-    gone = trial.now
+    start = trial.now
     await asyncio.sleep(10)
     assert trial.asked.gap < INTERVAL + 0.1
     back = trial.now
@@ -118,10 +118,10 @@ async def test_a_worker_polls_on_without_the_engine_if_its_settings_say_so(trial
         if subject == "modbus.readings.d0-1"
     ]
     assert times == sorted(set(times))
-    assert len(times) >= (back - gone) / INTERVAL
+    assert len(times) >= (back - start) / INTERVAL
 
 
-@tried(6, "a", "b", "c")
+@on_trial(6, "a", "b", "c")
 async def test_a_slow_engine_loses_leases_and_no_device(trial: Trial) -> None:
     for worker in trial.workers.values():
         worker.client.link.delay = (0.3, 0.6)
@@ -132,7 +132,7 @@ async def test_a_slow_engine_loses_leases_and_no_device(trial: Trial) -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.5, LEASE, 3 * LEASE])
-@tried(6, "a", "b", "c")
+@on_trial(6, "a", "b", "c")
 async def test_an_engine_that_goes_back_has_none_asked_by_two(trial: Trial, seconds: float) -> None:
     await trial.start("d")
     await asyncio.sleep(seconds / 2)
@@ -141,7 +141,7 @@ async def test_an_engine_that_goes_back_has_none_asked_by_two(trial: Trial, seco
     assert len(trial.asked.hosts()) >= 3
 
 
-@tried(4, "a", "b")
+@on_trial(4, "a", "b")
 async def test_the_time_of_day_may_be_set_to_any_time(trial: Trial, monkeypatch) -> None:
     """Leases do not end or grow, and no reading is taken for one that was sent before."""
     for hours in (-1, 2):
@@ -154,7 +154,7 @@ async def test_the_time_of_day_may_be_set_to_any_time(trial: Trial, monkeypatch)
     assert await trial.all_asked(60) < LEASE + INTERVAL + 1.5
 
 
-@tried(6, "a", "b", "c")
+@on_trial(6, "a", "b", "c")
 async def test_a_bucket_that_is_deleted_stops_all_until_it_is_pushed_again(trial: Trial, caplog):
     trial.engine.delete_bucket()
     since = trial.now
@@ -167,7 +167,7 @@ async def test_a_bucket_that_is_deleted_stops_all_until_it_is_pushed_again(trial
     assert len(trial.asked.hosts()) == 3
 
 
-@tried(6)
+@on_trial(6)
 async def test_a_change_reaches_the_workers_within_a_second_and_touches_nothing_else(trial: Trial):
 
     await push_fleet(trial.engine, trial.devices(4), trial.settings)
@@ -187,7 +187,7 @@ async def test_a_change_reaches_the_workers_within_a_second_and_touches_nothing_
     assert trial.asked.since(now) == UNITS
 
 
-@tried(2, "a", "b")
+@on_trial(2, "a", "b")
 async def test_a_device_that_is_pushed_away_is_offline(trial: Trial) -> None:
     await push_fleet(trial.engine, trial.devices(1), trial.settings)
     await trial.until(trial.offline, LEASE)
@@ -198,13 +198,13 @@ async def test_a_device_that_is_pushed_away_is_offline(trial: Trial) -> None:
     await trial.until(lambda: trial.qualities() == ["offline"], LEASE)
 
 
-@tried(2, "a")
+@on_trial(2, "a")
 async def test_the_last_worker_that_leaves_takes_all_back(trial: Trial) -> None:
     await trial.workers.pop("a").leave()
     assert trial.qualities() == ["offline"]
 
 
-@tried(2)
+@on_trial(2)
 async def test_devices_of_a_dead_worker_whose_zone_nobody_has_are_offline(trial: Trial) -> None:
     await push_fleet(trial.engine, trial.devices(zone="north"), trial.settings)
     await trial.start("north", zones=["north"])

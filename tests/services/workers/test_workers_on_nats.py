@@ -25,27 +25,27 @@ DEVICES = CONNECTIONS * UNITS
 
 @pytest.mark.timeout(300)
 def test_none_is_asked_by_two_whoever_dies_stops_or_leaves(tmp_path, capsys):
-    with NatsServers() as server, asked_devices(CONNECTIONS) as (urls, asked):
+    with NatsServers() as server, asked_devices(CONNECTIONS) as (urls, devices):
         file = fleet_file(tmp_path, urls, interval=INTERVAL, engine=f"lease = {LEASE}")
 
         def all_asked() -> None:
             now = time.monotonic()
-            until(lambda: asked.since(now) == DEVICES, PATIENCE)
+            until(lambda: devices.since(now) == DEVICES, PATIENCE)
 
         def shared(before: dict[tuple[str, int], str]) -> bool:
             """Return True if another worker has some of the devices now, and not all."""
-            kept = before.items() & asked.peers.items()
-            return 0 < len(kept) < DEVICES
+            common = before.items() & devices.peers.items()
+            return 0 < len(common) < DEVICES
 
         def joined(name: str) -> None:
-            before = dict(asked.peers)
+            before = dict(devices.peers)
             workers.start(name, server.urls)
             until(lambda: shared(before), PATIENCE)
             all_asked()
 
         with Workers(file, tmp_path) as workers:
             workers.start("a", server.urls)
-            until(lambda: len(asked.peers) == DEVICES, PATIENCE)
+            until(lambda: len(devices.peers) == DEVICES, PATIENCE)
             joined("b")
 
             workers.kill("b")
@@ -65,11 +65,11 @@ def test_none_is_asked_by_two_whoever_dies_stops_or_leaves(tmp_path, capsys):
             # All that workers rest on is gone; what is put there again is polled again.
             server.ask(lambda client: client.jetstream().delete_key_value("modbus-fleet"))
             until(lambda: "was deleted" in workers.said("a"), PATIENCE)
-            until(lambda: asked.since(time.monotonic() - 3 * INTERVAL) == 0, PATIENCE)
+            until(lambda: devices.since(time.monotonic() - 3 * INTERVAL) == 0, PATIENCE)
             assert main(["poll", str(file), "--engine", server.urls, "--push"]) == 0
             assert f"{CONNECTIONS} new, 0 changed, 0 gone" in capsys.readouterr().out
             all_asked()
             assert "Traceback" not in workers.said("a") + workers.said("b")
         # Whoever is stopped within the call of the system that sends, sends that when it goes on
         # (docs/how-to/several-machines.md): here one process was stopped, once.
-        assert asked.doubles <= 1
+        assert devices.doubles <= 1

@@ -13,8 +13,8 @@ from libmodbus_py.ports.trace import Traced
 from libmodbus_py.services.fleet.outputs.output import Output
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.simulation.engine import Engine
-from tests.simulation.given import giving
 from tests.simulation.network import Network
+from tests.simulation.runner import runner_of
 from tests.simulation.workers import SimulatedWorker, push_fleet
 
 LEASE = 2.0
@@ -29,7 +29,7 @@ MAP = RegisterMap(
 )
 
 
-class Asked:
+class PollLog:
     """
     Who asked which device when. A worker has one connection to a place, and another one when it
     gets that place again; unless the engine forgot that it ever lost it, and then its lease was
@@ -46,10 +46,10 @@ class Asked:
         self._now = now
         self._followed: dict[tuple[str, int], set[str]] = {}
 
-    def note(self, traced: Traced) -> None:
-        if traced.direction != "received":
+    def note(self, event: Traced) -> None:
+        if event.direction != "received":
             return
-        now, device, asking = self._now(), (traced.endpoint, traced.unit or 0), traced.peer or ""
+        now, device, asking = self._now(), (event.endpoint, event.unit or 0), event.peer or ""
         before, peer = self.last.get(device, (now, asking))
         self.gap = max(self.gap, now - before)
         followed = self._followed.setdefault(device, set())
@@ -73,11 +73,11 @@ class Asked:
 
     def hosts(self) -> dict[str, int]:
         """Return how many devices each worker asked last, by its host."""
-        found: dict[str, int] = {}
+        counts: dict[str, int] = {}
         for _, peer in self.last.values():
             host = peer.rpartition(":")[0]
-            found[host] = found.get(host, 0) + 1
-        return found
+            counts[host] = counts.get(host, 0) + 1
+        return counts
 
 
 class _Told(Output):
@@ -111,7 +111,7 @@ class Trial:
     ) -> None:
         self.network = network or Network(seed)
         self.engine = Engine(self.network)
-        self.asked = Asked(lambda: self.now)
+        self.asked = PollLog(lambda: self.now)
         self.settings = settings or FleetSettings(LEASE)
         self.places = [f"tcp://10.0.2.{at + 1}:502" for at in range(connections)]
         self.units, self.interval = units, interval
@@ -212,7 +212,7 @@ class Trial:
         return [(at, by, each.device) for at, by, each in self.told if each.quality == "offline"]
 
 
-def tried(connections: int, *workers: str, **options: Any) -> Callable[[Any], Any]:
+def on_trial(connections: int, *workers: str, **options: Any) -> Callable[[Any], Any]:
     """
     Make a test of a coroutine that is given a `Trial` first; no device is asked by two. `workers`:
     the names of those that share the devices when the test begins.
@@ -229,4 +229,4 @@ def tried(connections: int, *workers: str, **options: Any) -> Callable[[Any], An
 
         trial.run(settled)
 
-    return giving(run)
+    return runner_of(run)

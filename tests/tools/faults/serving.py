@@ -8,7 +8,7 @@ from typing import Any
 from libmodbus_py import Client, Device, Mapping, Server, pdu
 from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.tools.faults.fault import Fault
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 
 FOREVER = 600.0  # longer than any test may last
 
@@ -16,7 +16,7 @@ READ = pdu.ReadHoldingRegisters(0, 1).encode()
 REQUEST = Frame(1, READ)
 
 
-def made_device() -> Device:
+def make_device() -> Device:
     mapping = Mapping(coils=8, holding_registers=8)
     mapping.holding_registers[0:3] = [555, 0, 100]
     return Device(mapping)
@@ -24,10 +24,10 @@ def made_device() -> Device:
 
 @contextmanager
 def serving(
-    stage: Stage, scheme: str, *faults: Fault, of: int | None = 1, **devices: Any
+    lan: Lan, scheme: str, *faults: Fault, of: int | None = 1, **devices: Any
 ) -> Iterator[str]:
-    """Serve units 1 and 2 on a stage, of which one or all have faults; yield a URL for clients."""
-    units = devices.get("units") or {1: made_device(), 2: made_device()}
+    """Serve units 1 and 2 on a LAN, of which one or all have faults; yield a URL for clients."""
+    units = devices.get("units") or {1: make_device(), 2: make_device()}
     place = "tcp://10.0.0.1:0" if scheme.endswith("tcp") else "x:///dev/line?baudrate=115200"
     with Server(units, faults={of: faults}).background(
         scheme + place[place.index(":") :]

@@ -8,9 +8,9 @@ from libmodbus_py import Client, ModbusConnectionError, Server
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
 from libmodbus_py.server.faults import Faults
 from libmodbus_py.tools.faults.fault import Fault
-from tests.simulation.stage import Stage, Talker
+from tests.simulation.lan import Lan, LanClient
 from tests.support.certificates import Pki, secured
-from tests.tools.faults.serving import FOREVER, READ, REQUEST, adu, client_of, made_device, serving
+from tests.tools.faults.serving import FOREVER, READ, REQUEST, adu, client_of, make_device, serving
 
 # Address 107 holds 555, 0, 100: section 6.3 of the application protocol; the frames around
 # it by hand.
@@ -50,10 +50,10 @@ BYTES: list[tuple[Fault, Framer, list[tuple[float, str]]]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("fault", "framer", "expected"), BYTES)
-def test_bytes_of_each_fault(fault, framer, expected) -> None:
-    sent = [(each.wait, each.data.hex()) for each in fault.fragments(ANSWER, framer)]
-    assert sent == expected
+@pytest.mark.parametrize(("fault", "framer", "fragments"), BYTES)
+def test_each_fault_sends_its_bytes_at_its_times(fault, framer, fragments) -> None:
+    writes = [(each.wait, each.data.hex()) for each in fault.fragments(ANSWER, framer)]
+    assert writes == fragments
 
 
 def test_random_bytes_are_the_same_with_a_seed() -> None:
@@ -80,13 +80,13 @@ def test_the_transaction_before_0_is_65535() -> None:
     assert fragment.data[:2] == b"\xff\xff"
 
 
-def blocks(client: Talker, requests: bytes) -> bool:
+def blocks(client: LanClient, requests: bytes) -> bool:
     """Send more than the network keeps; return whether the server stops to read it."""
     client.settimeout(60)
-    sent = 0
+    count = 0
     try:
-        while sent < 1 << 21:
-            sent += client.send(requests[sent % len(requests) :])
+        while count < 1 << 21:
+            count += client.send(requests[count % len(requests) :])
     except TimeoutError:
         return True
     return False
@@ -101,16 +101,16 @@ def blocks(client: Talker, requests: bytes) -> bool:
         (Fault("delay", every=50, seconds=0.001), b"\x03\0\0\0\x08"),
     ],
 )
-def test_a_client_that_gets_no_more_answers_is_not_read(stage: Stage, fault, request_) -> None:
-    with serving(stage, "tcp", fault) as url, stage.talk(url) as flood:
+def test_a_client_that_gets_no_more_answers_is_not_read(lan: Lan, fault, request_) -> None:
+    with serving(lan, "tcp", fault) as url, lan.client(url) as flood:
         assert blocks(flood, adu(request_) * 10_000)
 
 
 @pytest.mark.parametrize("length", [None, 5, 512])
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
-def test_a_fault_sends_its_part_before_it_closes_the_connection(stage: Stage, scheme, length):
+def test_a_fault_sends_its_part_before_it_closes_the_connection(lan: Lan, scheme, length):
     fault = Fault("disconnect", function=3, length=length)
-    with serving(stage, scheme, fault) as url, stage.talk(url) as connection:
+    with serving(lan, scheme, fault) as url, lan.client(url) as connection:
         if scheme == "tcp":
             connection.sendall(adu(b"\x01\0\0\0\x01", 7) + adu(READ, 8))
             before, answer = adu(b"\x01\x01\0", 7), adu(b"\x03\x02\x02\x2b", 8)
@@ -121,11 +121,11 @@ def test_a_fault_sends_its_part_before_it_closes_the_connection(stage: Stage, sc
         assert connection.receive(100) == before + answer[: length or 0]
 
 
-def test_a_request_behind_one_that_closes_the_connection_is_not_executed(stage: Stage) -> None:
-    units = {1: made_device(), 2: made_device()}
+def test_a_request_behind_one_that_closes_the_connection_is_not_executed(lan: Lan) -> None:
+    units = {1: make_device(), 2: make_device()}
     write = b"\x06\0\x01\0\x09"
     fault = Fault("disconnect", function=3)
-    with serving(stage, "tcp", fault, units=units) as url, stage.talk(url) as connection:
+    with serving(lan, "tcp", fault, units=units) as url, lan.client(url) as connection:
         requests = adu(write.replace(b"\1", b"\0")) + adu(READ) + adu(write) + adu(write, 1, 2)
         connection.sendall(requests)
         assert connection.receive(100) == adu(b"\x06\0\0\0\x09")
@@ -136,22 +136,22 @@ def test_a_request_behind_one_that_closes_the_connection_is_not_executed(stage: 
     assert units[2].mapping.holding_registers[1] == 0
 
 
-def test_a_disconnect_comes_after_answers_that_are_kept_back(stage: Stage) -> None:
+def test_a_disconnect_comes_after_answers_that_are_kept_back(lan: Lan) -> None:
     faults = [Fault("delay", function=1, seconds=100), Fault("disconnect", function=3, length=512)]
-    with serving(stage, "tcp", *faults) as url, stage.talk(url) as connection:
+    with serving(lan, "tcp", *faults) as url, lan.client(url) as connection:
         connection.sendall(adu(b"\x01\0\0\0\x01", 1) + adu(READ, 2) + adu(READ, 3))
-        expected = adu(b"\x01\x01\0", 1) + adu(b"\x03\x02\x02\x2b", 2)
-        assert connection.receive(100) == expected
+        answers = adu(b"\x01\x01\0", 1) + adu(b"\x03\x02\x02\x2b", 2)
+        assert connection.receive(100) == answers
 
 
-def test_garbage_and_disconnects_of_datagrams(stage: Stage) -> None:
+def test_garbage_and_disconnects_of_datagrams(lan: Lan) -> None:
     faults = [
         Fault("garbage", function=3, data=b"\xaa", place="behind"),
         Fault("disconnect", function=1, length=4),
     ]
-    device = made_device()
+    device = make_device()
     with Server(device, faults={1: faults}).background("udp://10.0.0.1:0") as running:
-        datagrams = stage.talk(running.urls[0])
+        datagrams = lan.client(running.urls[0])
         datagrams.send(adu(READ, 5))
         assert datagrams.recv(100) == adu(b"\x03\x02\x02\x2b", 5) + b"\xaa"
         datagrams.send(adu(b"\x01\0\0\0\x01", 6))
@@ -159,7 +159,7 @@ def test_garbage_and_disconnects_of_datagrams(stage: Stage) -> None:
 
 
 def test_a_disconnect_closes_a_tunnel(tmp_path: Path) -> None:
-    server = Server({1: made_device()}, faults={1: [Fault("disconnect", every=2, length=5)]})
+    server = Server({1: make_device()}, faults={1: [Fault("disconnect", every=2, length=5)]})
     with secured(server, Pki(tmp_path)) as url, Client(url, unit=1, timeout=5) as client:
         assert client.read_holding_registers(0, 1) == [555]
         with pytest.raises(ModbusConnectionError):

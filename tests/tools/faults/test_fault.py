@@ -14,7 +14,7 @@ from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.server.faults import Faults
 from libmodbus_py.tools.faults.fault import Fault
 from tests.support.golden import Refused
-from tests.tools.faults.serving import READ, REQUEST, made_device
+from tests.tools.faults.serving import READ, REQUEST, make_device
 
 
 def hits(faults: Faults, count: int, request: Frame = REQUEST) -> list[int]:
@@ -78,8 +78,8 @@ RANGES: list[tuple[dict[str, Any], pdu.Request[Any], bool]] = [
 @pytest.mark.parametrize(("where", "request_", "is_hit"), RANGES, ids=str)
 def test_only_requests_that_touch_the_range_are_hit_and_counted(where, request_, is_hit) -> None:
     faults = Faults({1: [Fault("no_answer", every=2, **where)]})
-    asked = Frame(1, request_.encode())
-    assert hits(faults, 4, asked) == ([2, 4] if is_hit else [])
+    request = Frame(1, request_.encode())
+    assert hits(faults, 4, request) == ([2, 4] if is_hit else [])
 
 
 def test_a_fault_that_cannot_be_is_refused(refused: Refused) -> None:
@@ -98,4 +98,4 @@ def test_a_fault_that_cannot_be_is_refused(refused: Refused) -> None:
 )
 def test_faults_that_are_none_are_refused(faults: Any, message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
-        Server(made_device(), faults=faults)
+        Server(make_device(), faults=faults)

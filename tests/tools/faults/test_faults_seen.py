@@ -13,7 +13,7 @@ from libmodbus_py import (
     ServerDeviceBusy,
 )
 from libmodbus_py.tools.faults.fault import Fault
-from tests.simulation.stage import Stage
+from tests.simulation.lan import Lan
 from tests.tools.faults.serving import client_of, serving
 
 SEEN: dict[str, tuple[Fault, type[Exception]]] = {
@@ -49,7 +49,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("scheme", "name"), CASES)
-def test_a_client_sees_the_fault_and_the_next_request_succeeds(stage: Stage, scheme, name) -> None:
+def test_a_client_sees_the_fault_and_the_next_request_succeeds(lan: Lan, scheme, name) -> None:
     fault, error = SEEN[name]
     if scheme in ("rtu", "ascii"):
         error = ON_LINES.get(name, error)
@@ -58,18 +58,18 @@ def test_a_client_sees_the_fault_and_the_next_request_succeeds(stage: Stage, sch
         fault = replace(fault, seconds=0.015)
     # A second of silence ends a frame there.
     timeout = 0.2 if scheme == "ascii" else 200
-    with serving(stage, scheme, fault) as url, client_of(url, timeout=timeout) as client:
+    with serving(lan, scheme, fault) as url, client_of(url, timeout=timeout) as client:
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
-        with pytest.raises(error) as seen:
+        with pytest.raises(error) as caught:
             client.read_holding_registers(0, 3)
-        assert type(seen.value) is error
+        assert type(caught.value) is error
         client.timeout = 5000
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu", "ascii"])
-def test_a_client_with_a_long_timeout_gets_late_and_slow_answers(stage: Stage, scheme: str) -> None:
+def test_a_client_with_a_long_timeout_gets_late_and_slow_answers(lan: Lan, scheme: str) -> None:
     faults = [Fault("delay", function=3, seconds=50), Fault("trickle", seconds=0.5)]
-    with serving(stage, scheme, *faults) as url, client_of(url) as client:
+    with serving(lan, scheme, *faults) as url, client_of(url) as client:
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
         assert client.read_coils(0, 3) == [False] * 3

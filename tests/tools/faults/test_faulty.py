@@ -21,13 +21,13 @@ from libmodbus_py import (
 from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.server.faults import Faults
 from libmodbus_py.tools.faults.fault import KINDS, Fault
-from tests.simulation.stage import Stage
-from tests.tools.faults.serving import FOREVER, READ, REQUEST, adu, client_of, made_device, serving
+from tests.simulation.lan import Lan
+from tests.tools.faults.serving import FOREVER, READ, REQUEST, adu, client_of, make_device, serving
 
 
-def test_a_range_that_fails_leaves_the_rest_of_the_device_alone(stage: Stage) -> None:
+def test_a_range_that_fails_leaves_the_rest_of_the_device_alone(lan: Lan) -> None:
     bad = Fault("exception", code=4, table="holding_registers", address=2)
-    with serving(stage, "tcp", bad) as url, client_of(url) as client:
+    with serving(lan, "tcp", bad) as url, client_of(url) as client:
         assert client.read_holding_registers(0, 2) == [555, 0]
         with pytest.raises(ServerDeviceFailure):
             client.read_holding_registers(0, 3)
@@ -35,26 +35,26 @@ def test_a_range_that_fails_leaves_the_rest_of_the_device_alone(stage: Stage) ->
         assert client.read_coils(2, 1) == [False]
 
 
-def test_units_without_faults_are_answered_in_c(stage: Stage, monkeypatch) -> None:
-    units = {1: made_device(), 2: made_device()}
+def test_units_without_faults_are_answered_in_c(lan: Lan, monkeypatch) -> None:
+    units = {1: make_device(), 2: make_device()}
     for device in units.values():
         monkeypatch.setattr(device, "_respond", lambda *_: pytest.fail("not in C"))
     fault = Fault("exception", code=6)
-    with serving(stage, "tcp", fault, of=2, units=units) as url, client_of(url) as client:
+    with serving(lan, "tcp", fault, of=2, units=units) as url, client_of(url) as client:
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
         with pytest.raises(ServerDeviceBusy):
             client.for_unit(2).read_coils(0, 1)
 
 
-def test_an_answer_in_c_waits_behind_one_that_a_fault_delays(stage: Stage) -> None:
+def test_an_answer_in_c_waits_behind_one_that_a_fault_delays(lan: Lan) -> None:
     fault = Fault("delay", seconds=100)
-    with serving(stage, "tcp", fault, of=2) as url, stage.talk(url) as connection:
+    with serving(lan, "tcp", fault, of=2) as url, lan.client(url) as connection:
         coil = b"\x01\0\0\0\x01"
         for requests in (adu(coil, 1, 1), adu(coil, 2, 2) + adu(coil, 3, 1) + adu(coil, 4, 2)):
             connection.sendall(requests)
         answers = [(1, 1), (2, 2), (3, 1), (4, 2)]
-        expected = b"".join(adu(b"\x01\x01\0", *each) for each in answers)
-        assert connection.receive(len(expected)) == expected
+        answer = b"".join(adu(b"\x01\x01\0", *each) for each in answers)
+        assert connection.receive(len(answer)) == answer
 
 
 def test_the_first_fault_that_is_due_happens_and_all_count() -> None:
@@ -68,18 +68,18 @@ def test_the_first_fault_that_is_due_happens_and_all_count() -> None:
     assert other.kind == "exception"
 
 
-def test_faults_of_all_units_also_hit_units_that_do_not_exist(stage: Stage) -> None:
+def test_faults_of_all_units_also_hit_units_that_do_not_exist(lan: Lan) -> None:
     fault = Fault("exception", code=10, every=2)
-    with serving(stage, "tcp", fault, of=None) as url, client_of(url, unit=99) as client:
+    with serving(lan, "tcp", fault, of=None) as url, client_of(url, unit=99) as client:
         with pytest.raises(GatewayTargetFailedToRespond):
             client.read_coils(0, 1)
         with pytest.raises(ExceptionResponse, match="exception 10"):
             client.read_coils(0, 1)
 
 
-def test_on_serial_lines_what_nobody_answers_is_not_counted(stage: Stage) -> None:
+def test_on_serial_lines_what_nobody_answers_is_not_counted(lan: Lan) -> None:
     fault = Fault("exception", code=6, every=2)
-    with serving(stage, "rtu", fault, of=None) as url, client_of(url, timeout=2) as client:
+    with serving(lan, "rtu", fault, of=None) as url, client_of(url, timeout=2) as client:
         client.for_unit(0).write_register(0, 7)
         with pytest.raises(ModbusTimeoutError):
             client.for_unit(99).read_coils(0, 1)
@@ -88,23 +88,23 @@ def test_on_serial_lines_what_nobody_answers_is_not_counted(stage: Stage) -> Non
             client.read_holding_registers(0, 1)
 
 
-def test_a_device_in_listen_only_mode_stays_silent(stage: Stage) -> None:
+def test_a_device_in_listen_only_mode_stays_silent(lan: Lan) -> None:
     fault = Fault("exception", code=6, function=3)
-    with serving(stage, "rtu", fault, of=None) as url, client_of(url) as client:
+    with serving(lan, "rtu", fault, of=None) as url, client_of(url) as client:
         client.diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY)
         with pytest.raises(ModbusTimeoutError):
             client.read_holding_registers(0, 1)
 
 
-def test_a_refused_write_is_not_executed_and_all_others_are(stage: Stage) -> None:
+def test_a_refused_write_is_not_executed_and_all_others_are(lan: Lan) -> None:
     for kind in KINDS:
         if kind in ("delay", "trickle"):
             continue
-        device = made_device()
+        device = make_device()
         settings: dict[str, Any] = {"code": 6} if kind == "exception" else {}
         settings |= {"length": 3} if kind in ("truncate", "garbage") else {}
         fault = Fault(kind, **settings)
-        with serving(stage, "tcp", fault, units={1: device}) as url, stage.talk(url) as connection:
+        with serving(lan, "tcp", fault, units={1: device}) as url, lan.client(url) as connection:
             connection.sendall(adu(b"\x06\0\0\0\x09"))
             with suppress(OSError):  # what closes may have closed before
                 connection.shutdown(socket.SHUT_WR)
@@ -115,9 +115,9 @@ def test_a_refused_write_is_not_executed_and_all_others_are(stage: Stage) -> Non
 
 
 @pytest.mark.parametrize("transport", ["rtu", "tcp"])
-def test_counters_know_the_refusals_of_a_fault(stage: Stage, transport: str) -> None:
+def test_counters_know_the_refusals_of_a_fault(lan: Lan, transport: str) -> None:
     fault = Fault("exception", code=6, function=3)
-    with serving(stage, transport, fault) as url, client_of(url, timeout=2) as client:
+    with serving(lan, transport, fault) as url, client_of(url, timeout=2) as client:
         for _ in range(3):
             with pytest.raises(ServerDeviceBusy):
                 client.read_holding_registers(0, 1)
@@ -128,9 +128,9 @@ def test_counters_know_the_refusals_of_a_fault(stage: Stage, transport: str) -> 
         assert read(pdu.SubFunction.SERVER_MESSAGE_COUNT) == 7
 
 
-def test_a_reserved_function_gets_no_answer_and_no_fault(stage: Stage) -> None:
+def test_a_reserved_function_gets_no_answer_and_no_fault(lan: Lan) -> None:
     fault = Fault("exception", code=6)
-    with serving(stage, "tcp", fault, of=None) as url, stage.talk(url) as connection:
+    with serving(lan, "tcp", fault, of=None) as url, lan.client(url) as connection:
         connection.sendall(adu(b"\x83\x01", 1) + adu(READ, 2))
         assert connection.receive(9) == adu(b"\x83\x06", 2)
 
@@ -139,68 +139,68 @@ def test_a_reserved_function_gets_no_answer_and_no_fault(stage: Stage) -> None:
     "fault", [Fault("delay", seconds=FOREVER), Fault("trickle", seconds=FOREVER)]
 )
 @pytest.mark.parametrize("unit", [1, 2])
-def test_others_are_answered_while_the_fault_lasts(stage: Stage, fault: Fault, unit: int) -> None:
+def test_others_are_answered_while_the_fault_lasts(lan: Lan, fault: Fault, unit: int) -> None:
     # The other client asks another unit, or the same one by another function.
     only = Fault(fault.kind, function=3, seconds=fault.seconds)
-    with serving(stage, "tcp", only) as url, stage.talk(url) as slow:
+    with serving(lan, "tcp", only) as url, lan.client(url) as slow:
         slow.sendall(adu(READ))
         head = slow.receive(1 if fault.kind == "trickle" else 0)
         with client_of(url, unit) as client:
             for _ in range(20):
                 assert client.read_coils(0, 8) == [False] * 8
-        stage.pass_time(FOREVER / 2)
+        lan.pass_time(FOREVER / 2)
         assert not slow.has_input()
         assert head == (b"\0" if fault.kind == "trickle" else b"")
 
 
 @pytest.mark.parametrize("change", ["switched_off", "turned_off", "replaced"])
-def test_a_fault_that_ends_while_a_request_is_out_holds_for_that_request_only(stage: Stage, change):
-    server = Server({1: made_device()})
-    with server.background("tcp://10.0.0.1:0") as running, stage.talk(running.urls[0]) as slow:
+def test_a_fault_that_ends_while_a_request_is_out_holds_for_that_request_only(lan: Lan, change):
+    server = Server({1: make_device()})
+    with server.background("tcp://10.0.0.1:0") as running, lan.client(running.urls[0]) as slow:
         switched = server.fault_switch.switch_on(Fault("delay", seconds=5))
         slow.sendall(adu(READ, 1))
-        stage.pass_time(1)
+        lan.pass_time(1)
         if change == "switched_off":
             switched.switch_off()
         elif change == "turned_off":
             server.fault_switch.turn(switched.states[0], is_on=False)
         else:
-            server.replace({1: made_device()})
+            server.replace({1: make_device()})
             switched.switch_off()
-        begun = stage.now
+        start = lan.now
         with client_of(running.urls[0]) as other:
             assert other.read_holding_registers(0, 1) == [555]
-        assert stage.now - begun < 0.1
+        assert lan.now - start < 0.1
         slow.sendall(adu(READ, 2))  # behind the first, whose answer comes when it would have come
-        stage.pass_time(3)
+        lan.pass_time(3)
         assert not slow.has_input()
         answer = b"\x03\x02\x02\x2b"
         assert slow.receive(22) == adu(answer, 1) + adu(answer, 2)
-        assert stage.now - begun < 4.5
+        assert lan.now - start < 4.5
 
 
-def test_a_server_stops_while_answers_wait(stage: Stage) -> None:
+def test_a_server_stops_while_answers_wait(lan: Lan) -> None:
     fault = Fault("delay", seconds=FOREVER)
-    with serving(stage, "tcp", fault, of=None) as url:
-        clients = [stage.talk(url) for _ in range(5)]
+    with serving(lan, "tcp", fault, of=None) as url:
+        clients = [lan.client(url) for _ in range(5)]
         for client in clients:
             client.sendall(adu(READ))
-        stage.pass_time(1)
-        begun = stage.now
+        lan.pass_time(1)
+        start = lan.now
     assert all(client.is_closed() for client in clients)
-    assert stage.now - begun < 0.01
-    with serving(stage, "rtu", fault, of=None) as url, client_of(url, timeout=50) as line:
+    assert lan.now - start < 0.01
+    with serving(lan, "rtu", fault, of=None) as url, client_of(url, timeout=50) as line:
         with pytest.raises(ModbusTimeoutError):
             line.read_coils(0, 1)
-        begun = stage.now
-    assert stage.now - begun < 0.01
+        start = lan.now
+    assert lan.now - start < 0.01
 
 
-def test_a_client_that_leaves_costs_its_answers_only(stage: Stage) -> None:
-    with serving(stage, "tcp", Fault("delay", function=3, seconds=50)) as url:
+def test_a_client_that_leaves_costs_its_answers_only(lan: Lan) -> None:
+    with serving(lan, "tcp", Fault("delay", function=3, seconds=50)) as url:
         for _ in range(10):
-            with stage.talk(url) as connection:
+            with lan.client(url) as connection:
                 connection.sendall(adu(READ) * 3)
-        stage.pass_time(100)
+        lan.pass_time(100)
         with client_of(url) as client:
             assert client.read_holding_registers(0, 1) == [555]

@@ -13,8 +13,8 @@ MINE = Fault("exception", code=5)
 YOURS = Fault("exception", code=6)
 
 
-def made_server(*given: Fault) -> Server:
-    return Server({1: Device(Mapping(holding_registers={0: [7]}))}, faults={1: given})
+def make_server(*faults: Fault) -> Server:
+    return Server({1: Device(Mapping(holding_registers={0: [7]}))}, faults={1: faults})
 
 
 def happening(server: Server) -> list[tuple[int | None, int | None]]:
@@ -31,7 +31,7 @@ def code_of(client: Client) -> int | None:
 
 
 def test_the_latest_comes_first_and_the_given_last() -> None:
-    server = made_server(GIVEN)
+    server = make_server(GIVEN)
     mine = server.fault_switch.switch_on(MINE, MINE)
     server.fault_switch.switch_on(YOURS, unit=1)
     assert happening(server) == [(1, 6), (None, 5), (None, 5), (1, 4)]
@@ -41,17 +41,17 @@ def test_the_latest_comes_first_and_the_given_last() -> None:
 
 
 def test_one_fault_is_turned_off_and_on_in_its_place() -> None:
-    server = made_server(GIVEN, MINE)
+    server = make_server(GIVEN, MINE)
     yours = server.fault_switch.switch_on(YOURS)
     first = server.fault_switch.states()[0]
-    given = server.fault_switch.states()[1]
+    state = server.fault_switch.states()[1]
     with server.background("tcp://127.0.0.1:0") as running:
         client = Client(running.urls[0], unit=1)
         with client:
-            server.fault_switch.turn(given, is_on=False)
+            server.fault_switch.turn(state, is_on=False)
             assert code_of(client) == 5
             server.fault_switch.turn(first, is_on=False)
-            server.fault_switch.turn(given, is_on=True)
+            server.fault_switch.turn(state, is_on=True)
             assert code_of(client) == 4
     assert [each.fault for each in server.fault_switch.states()] == [YOURS, GIVEN, MINE]
     yours.switch_off()
@@ -60,7 +60,7 @@ def test_one_fault_is_turned_off_and_on_in_its_place() -> None:
 
 
 def test_replace_changes_what_was_given_and_nothing_else() -> None:
-    server = made_server(GIVEN)
+    server = make_server(GIVEN)
     mine = server.fault_switch.switch_on(MINE, unit=1)
     server.replace(server.devices, faults={1: [YOURS]})
     assert happening(server) == [(1, 5), (1, 6)]
@@ -72,7 +72,7 @@ def test_replace_changes_what_was_given_and_nothing_else() -> None:
 
 
 def test_switched_faults_go_on_counting() -> None:
-    server = made_server()
+    server = make_server()
     second = Fault("exception", code=6, every=2)
     codes = []
     with (
@@ -95,14 +95,14 @@ def test_switched_faults_go_on_counting() -> None:
     ],
 )
 def test_a_wrong_argument_changes_nothing(faults: Any, unit: Any, message: str) -> None:
-    server = made_server(GIVEN)
+    server = make_server(GIVEN)
     with pytest.raises((TypeError, ValueError), match=message):
         server.fault_switch.switch_on(*faults, unit=unit)
     assert happening(server) == [(1, 4)]
 
 
 def test_devices_that_are_refused_change_no_fault() -> None:
-    server = made_server(GIVEN)
+    server = make_server(GIVEN)
     with pytest.raises(TypeError, match="must be a Device"):
         server.replace({1: 5}, faults={1: [YOURS]})  # type: ignore[dict-item]
     assert happening(server) == [(1, 4)]
@@ -110,7 +110,7 @@ def test_devices_that_are_refused_change_no_fault() -> None:
 
 
 def test_many_threads_leave_what_was_given() -> None:
-    server = made_server(GIVEN)
+    server = make_server(GIVEN)
 
     def switching() -> None:
         for _ in range(50):

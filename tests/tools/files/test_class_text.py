@@ -18,7 +18,7 @@ from tests.support.programs import run_to_end
 TYPING = Path(__file__).parents[2] / "typing"
 
 
-def made(map: RegisterMap, stem: str = "meter") -> dict[str, Any]:
+def names_in(map: RegisterMap, stem: str = "meter") -> dict[str, Any]:
     """Return the names of the module that a class is in."""
     space: dict[str, Any] = {"__name__": "made"}
     exec(compile(class_text(map, stem), "made.py", "exec"), space)
@@ -33,7 +33,7 @@ def test_a_class_reads_and_writes() -> None:
     map = load_map(TYPING / "meter.csv")
     device = Device.of_map(map, {"voltage": 230.5, "energy total": 7, "serial number": "A1"})
     with Server(device).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
-        meter = made(map)["Meter"](plc)
+        meter = names_in(map)["Meter"](plc)
         with pytest.raises(AttributeError, match=r"voltage has not been read: call read\(\)"):
             print(meter.voltage)
         meter.read()
@@ -59,7 +59,7 @@ def test_a_class_has_a_name_that_the_file_does_not_use(stem: str) -> None:
     map = RegisterMap([Point("a", "coils", 0)])
     device = Device.of_map(map, {"a": True})
     with Server(device).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
-        meter = made(map, stem)[f"{class_name(stem)}Map"](plc)
+        meter = names_in(map, stem)[f"{class_name(stem)}Map"](plc)
         meter.read()
         assert meter.a is True
 
@@ -88,10 +88,10 @@ MEANINGS = [
 
 
 @each_case(("point", "kind"), MEANINGS)
-def test_types_of_attributes(point: Point, kind: str) -> None:
+def test_attributes_have_the_types_of_their_points(point: Point, kind: str) -> None:
     text = class_text(RegisterMap([point]), "meter")
     assert f"    def a(self) -> {kind}:\n" in text
-    assert list(made(RegisterMap([point]))["MAP"].values()) == [point]
+    assert list(names_in(RegisterMap([point]))["MAP"].values()) == [point]
 
 
 def test_a_value_that_may_be_missing_is_none_and_another_raises() -> None:
@@ -104,7 +104,7 @@ def test_a_value_that_may_be_missing_is_none_and_another_raises() -> None:
     device = Device.of_map(map)
     device.mapping.holding_registers[0:3] = [0xFFFF, 0x7FC0, 0]
     with Server(device).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
-        meter = made(map)["Meter"](plc)
+        meter = names_in(map)["Meter"](plc)
         meter.read()
         assert meter.a is None
         with pytest.raises(ValueError, match="b has no value"):
@@ -163,12 +163,12 @@ def check_texts(map: RegisterMap) -> None:
     """The file has the statements that it has for plain texts, and the points are the same."""
     text = class_text(map, "meter")
     plain = RegisterMap([Point(f"p{at}", "coils", at) for at in range(len(map))])
-    found, expected = (
+    statements, kinds = (
         [type(node).__name__ for node in ast.parse(each).body]
         for each in (text, class_text(plain, "meter"))
     )
-    assert found == expected
-    assert list(made(map)["MAP"].values()) == list(map.values())
+    assert statements == kinds
+    assert list(names_in(map)["MAP"].values()) == list(map.values())
 
 
 @each_case(
@@ -186,16 +186,16 @@ def check_texts(map: RegisterMap) -> None:
         (["a", "a_2", "a "], ["a", "a_2", "a_3"]),
     ],
 )
-def test_attributes_of_names(names: list[str], attributes: list[str]) -> None:
+def test_names_of_points_become_attributes(names: list[str], attributes: list[str]) -> None:
     assert list(attribute_names(names).values()) == attributes
 
 
 @given(st.lists(st.text(max_size=8), unique=True, max_size=12))
 def test_attributes_are_identifiers_and_differ(names: list[str]) -> None:
-    found = attribute_names(names)
-    assert list(found) == names
-    assert len(set(found.values())) == len(names)
-    for attribute in found.values():
+    attributes = attribute_names(names)
+    assert list(attributes) == names
+    assert len(set(attributes.values())) == len(names)
+    for attribute in attributes.values():
         assert attribute.isidentifier()
         assert ast.parse(f"x.{attribute}")
         assert not attribute.startswith("_")
@@ -239,6 +239,6 @@ def test_checkers_take_a_map_of_nasty_names(tmp_path: Path) -> None:
         [*mypy, "meter.py", "none.py"],
     ):
         environment = {"PATH": "/usr/bin:/bin", "MYPYPATH": str(TYPING.parents[1])}
-        done = run_to_end(*command, seconds=170, cwd=tmp_path, env=environment)
-        assert done.returncode == 0, done.stdout + done.stderr
-    made(NASTY)
+        result = run_to_end(*command, seconds=170, cwd=tmp_path, env=environment)
+        assert result.returncode == 0, result.stdout + result.stderr
+    names_in(NASTY)

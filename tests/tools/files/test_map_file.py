@@ -36,12 +36,12 @@ NAMED = {"scale": "Faktor"}
 def test_a_spreadsheet_as_excel_saves_it(tmp_path: Path, encoding: str, begin: str) -> None:
     path = tmp_path / "Zähler.csv"
     path.write_bytes((begin + GERMAN).encode(encoding))
-    said = {"encoding": encoding} if encoding == "cp1252" else {}
-    assert list(load_map(path, columns=NAMED, **said).values()) == [
+    options = {"encoding": encoding} if encoding == "cp1252" else {}
+    assert list(load_map(path, columns=NAMED, **options).values()) == [
         Point("Außentemperatur", H, 0, type="int16", scale=0.1, units="°C"),
         Point("Zählerstand", H, 1, type="uint32", scale=-0.0025, units="kWh"),
     ]
-    notes = contents_of(path, 1, ListOptions(columns=NAMED, **said)).notes
+    notes = contents_of(path, 1, ListOptions(columns=NAMED, **options)).notes
     of_encoding = {
         "utf-16": ["read as utf-16, because it is not UTF-8"],
         "cp1252": ["read as cp1252"],
@@ -67,7 +67,7 @@ def test_a_column_that_is_named_must_be_there(tmp_path: Path) -> None:
 
 
 @each_case("table", sorted((Path(__file__).parent / "tables").glob("*.csv")))
-def test_tables_of_vendors(table: Path) -> None:
+def test_tables_of_vendors_are_the_maps_beside_them(table: Path) -> None:
     """Beside each table stands what it means, in TOML."""
     assert list(load_map(table).values()) == list(load_map(table.with_suffix(".toml")).values())
 
@@ -86,7 +86,7 @@ def test_a_wrong_file_is_told_what_is_wrong(kind: str, tmp_path: Path, refused: 
     refused(f"wrong_{kind}.txt", load_without_folder)
 
 
-def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MapError, match=r"^cannot read .*meter\.csv: No such file or directory$"):
         load_map(tmp_path / "meter.csv")
     with pytest.raises(MapError, match=r"meter\.ods: a register map must end with one of \.toml"):
@@ -98,8 +98,8 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 
 def test_all_mistakes_are_found_up_to_a_number(tmp_path: Path) -> None:
     (tmp_path / "meter.csv").write_text(HEAD + "a,coils,x\nb,coils,1\nc,coil,70000\n" * 9)
-    found = contents_of(tmp_path / "meter.csv", most=5)
-    assert [mistake.place[1:] for mistake in found.mistakes] == [
+    contents = contents_of(tmp_path / "meter.csv", most=5)
+    assert [mistake.place[1:] for mistake in contents.mistakes] == [
         (2, "address"),
         (4, "address"),
         (5, "address"),
@@ -115,10 +115,10 @@ def test_a_value_that_may_be_an_oversight_is_noted(tmp_path: Path) -> None:
         "low,40002,holding,,,,\n"
         "other,40001,input,,,,\n"
     )
-    found = list(remarks(contents_of(tmp_path / "meter.csv", most=1)))
-    assert found[0] == "columns that mean nothing here: Vendor's own, More"
-    assert found[1].startswith("all addresses of holding_registers are in 40001..49999: if these")
-    assert found[2:] == ["line 3: low overlaps whole at holding_registers 40002"]
+    notes = list(remarks(contents_of(tmp_path / "meter.csv", most=1)))
+    assert notes[0] == "columns that mean nothing here: Vendor's own, More"
+    assert notes[1].startswith("all addresses of holding_registers are in 40001..49999: if these")
+    assert notes[2:] == ["line 3: low overlaps whole at holding_registers 40002"]
 
 
 PRINTABLE = st.characters(exclude_categories=("C", "Z"))
@@ -164,10 +164,10 @@ JUNK = st.sampled_from(
 @example(b"name,address\na," + b"4" * 400_000)
 @example(b"name,address,fc\na,1," + b"fc0x " * 80_000)
 def test_anything_else_is_a_mistake(tmp_path: Path, content: bytes) -> None:
-    told: list[str] = []
+    messages: list[str] = []
     for name in ("meter.csv", "meter.toml"):
         try:
             loaded(tmp_path, content, name)
         except MapError as error:
-            told.append(str(error))
-    assert all(len(each) < 1000 for each in told)
+            messages.append(str(error))
+    assert all(len(each) < 1000 for each in messages)

@@ -50,7 +50,7 @@ SERIAL = "stop_bits is part of the URL of a serial port: rtu:///dev/ttyUSB0?stop
 
 
 @each_case(
-    ("text", "meant"),
+    ("text", "suggestion"),
     [
         (DEVICE_TEXT + "stopbits = 2", SERIAL),
         (DEVICE_TEXT + "slave = 2", "did you mean unit?"),
@@ -61,23 +61,23 @@ SERIAL = "stop_bits is part of the URL of a serial port: rtu:///dev/ttyUSB0?stop
         ("[[unit]]\nid = 1\nidentity = {}", "did you mean identification?"),
     ],
 )
-def test_a_wrong_key(tmp_path: Path, text: str, meant: str) -> None:
+def test_a_wrong_key_has_a_suggestion(tmp_path: Path, text: str, suggestion: str) -> None:
     file = tmp_path / "wrong.toml"
     file.write_text(text)
     with pytest.raises(ValueError, match="no such key; allowed are ") as raised:
         load(file)
-    assert str(raised.value).endswith(f"; {meant}")
+    assert str(raised.value).endswith(f"; {suggestion}")
 
 
 def test_amounts_have_units() -> None:
-    for given, value in (("90 days", 7_776_000), ("1.5h", 5400), ("2 weeks", 1_209_600)):
-        assert in_seconds("keep", given, "1 s", "100 years") == value
-    for given, value in (("2 GB", 2 * 10**9), ("1 GiB", 1 << 30), ("0.5 MB", 500_000)):
-        assert in_bytes("size", given, "1 B", "1 TB") == value
+    for text, value in (("90 days", 7_776_000), ("1.5h", 5400), ("2 weeks", 1_209_600)):
+        assert in_seconds("keep", text, "1 s", "100 years") == value
+    for text, value in (("2 GB", 2 * 10**9), ("1 GiB", 1 << 30), ("0.5 MB", 500_000)):
+        assert in_bytes("size", text, "1 B", "1 TB") == value
 
 
 def test_a_wrong_amount_is_named_with_what_is_allowed(refused: Refused) -> None:
-    refused("wrong_amounts.txt", lambda given: in_seconds("keep", given, "1 minute", "100 years"))
+    refused("wrong_amounts.txt", lambda amount: in_seconds("keep", amount, "1 minute", "100 years"))
 
 
 H = "holding_registers"
@@ -162,8 +162,8 @@ def from_fleet_file(folder: Path, points: list[Point]) -> list[Point]:
 
 def from_json(folder: Path, points: list[Point]) -> list[Point]:
     device = DeviceConfig("d", "tcp://192.0.2.1", RegisterMap(points))
-    (found,) = devices_from_json(devices_to_json([device]))
-    return list(found.map.values())
+    (copy,) = devices_from_json(devices_to_json([device]))
+    return list(copy.map.values())
 
 
 def from_class(folder: Path, points: list[Point]) -> list[Point]:

@@ -32,11 +32,11 @@ DAMAGED = [b"\x01\x03\x00", b"\xff", bytes(range(200))]
 
 def conversation() -> Iterator[Heard]:
     """All worked examples, each answer 4 ms behind its question, and damaged bytes between."""
-    asked = {answer.id: question for question, answer in exchanges()}
+    requests = {answer.id: question for question, answer in exchanges()}
     at = 1_700_000_000.0
     for number, answer in enumerate([*RESPONSES, *EXCEPTIONS]):
-        if answer.id in asked:
-            yield Heard(at, at, "request", asked[answer.id].frame)
+        if answer.id in requests:
+            yield Heard(at, at, "request", requests[answer.id].frame)
             yield Heard(at + 0.004, at + 0.004, "response", answer.frame)
         at += 0.5
         if number < len(DAMAGED):
@@ -46,9 +46,9 @@ def conversation() -> Iterator[Heard]:
 
 def write(path: Path, *links: int) -> Path:
     writer = CaptureWriter(path, "rtu:///dev/ttyUSB0?baudrate=19200")
-    for heard in conversation():
+    for packet in conversation():
         for link in links or (0,):
-            writer.write(heard, link)
+            writer.write(packet, link)
     writer.close()
     return path
 
@@ -70,10 +70,10 @@ class TestWriter:
 
 class TestReader:
     def test_a_capture_has_the_blocks_of_pcapng(self, tmp_path: Path) -> None:
-        done = read(write(tmp_path / "x.pcapng"))
-        good = [each for each in done if each.kind in ("answered", "exception")]
+        result = read(write(tmp_path / "x.pcapng"))
+        good = [each for each in result if each.kind in ("answered", "exception")]
         assert len(good) == len(exchanges())
-        bad = [each for each in done if each not in good]
+        bad = [each for each in result if each not in good]
         assert [each.error and each.error.received for each in bad] == DAMAGED
         for each in good:
             assert each.duration == pytest.approx(0.004, abs=1e-5)
@@ -110,7 +110,7 @@ class TestReader:
             (lambda data: data.replace(b"mbtcp", b"mbxxx"), "neither mbtcp nor mbrtu"),
         ],
     )
-    def test_other_files(self, tmp_path: Path, change: object, what: str) -> None:
+    def test_other_files_are_refused(self, tmp_path: Path, change: object, what: str) -> None:
         file = tmp_path / "x.pcapng"
         assert callable(change)
         file.write_bytes(change(DECODED.read_bytes()))
@@ -119,7 +119,7 @@ class TestReader:
         assert str(caught.value).startswith(str(file))
 
     @each_case("seed", range(40))
-    def test_damaged_files(self, tmp_path: Path, seed: int) -> None:
+    def test_damaged_files_are_read_or_refused(self, tmp_path: Path, seed: int) -> None:
         """They are read or refused, and nothing else."""
         choose = random.Random(seed)
         file = tmp_path / "x.pcapng"
@@ -186,8 +186,8 @@ class TestReader:
         writer = CaptureWriter(tmp_path / "pipe", "a")
 
         def fill() -> None:
-            for heard in itertools.chain.from_iterable(conversation() for _ in range(99)):
-                writer.write(heard)
+            for packet in itertools.chain.from_iterable(conversation() for _ in range(99)):
+                writer.write(packet)
 
         with (
             contextlib.closing(os.fdopen(reader, "rb")),
@@ -207,7 +207,7 @@ class TestReader:
             listen("nowhere.pcapng")
 
 
-def test_a_tap_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_tap_outlives_its_capture(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path, device = tmp_path / "x.pcapng", Device(Mapping(holding_registers={0: [7]}))
     with (
         Server(device).background("rtu+tcp://127.0.0.1:0") as running,
@@ -223,5 +223,5 @@ def test_a_tap_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None
             assert next(line).response == [7]
         assert line.capture_error is not None
         assert line.capture_error.filename == str(path)
-    told = [each.getMessage() for each in caplog.records if "ends here" in each.message]
-    assert told == [f"{path}: No space left on device; the capture ends here"]
+    messages = [each.getMessage() for each in caplog.records if "ends here" in each.message]
+    assert messages == [f"{path}: No space left on device; the capture ends here"]

@@ -28,9 +28,9 @@ from libmodbus_py import (
 from libmodbus_py.listen import Listener, Transaction, listen
 from libmodbus_py.tools.listener.sources import Tap
 from libmodbus_py.tools.testing.wires import SerialWire, WireBytes, open_line, write_all
+from tests.support.driver import rtu
 from tests.support.golden import Refused
 from tests.support.peers import until
-from tests.support.talk import rtu
 
 UNIT = 17
 
@@ -122,12 +122,12 @@ def test_a_client_and_a_server_on_a_line(port: Line, framing: str, device: Devic
         with pytest.raises(IllegalDataAddress):
             client.read_coils(0, 1)
         client.for_unit(0).write_register(101, 6)
-        done = hearing.wait_for(6)
-    assert [each.kind for each in done] == [*(["answered"] * 4), "exception", "broadcast"]
-    assert done[0].request == pdu.ReadHoldingRegisters(100, 3)
-    assert done[0].response == [1000, 1001, 1002]
-    assert all((each.duration or 0) >= 0 for each in done)
-    assert abs(done[0].time - time.time()) < 60
+        transactions = hearing.wait_for(6)
+    assert [each.kind for each in transactions] == [*(["answered"] * 4), "exception", "broadcast"]
+    assert transactions[0].request == pdu.ReadHoldingRegisters(100, 3)
+    assert transactions[0].response == [1000, 1001, 1002]
+    assert all((each.duration or 0) >= 0 for each in transactions)
+    assert abs(transactions[0].time - time.time()) < 60
     assert hearing.line.summary.units[UNIT].functions[6] == 2
     assert hearing.line.summary.units[UNIT].errors == {"exception 2": 1}
 
@@ -150,7 +150,7 @@ class TestPort:
             with Client(f"rtu://{port.path}", unit=1):
                 pass  # takes the lock
 
-    def test_a_port_that_is_locked(self, port: Line, caplog: pytest.LogCaptureFixture) -> None:
+    def test_an_open_port_is_a_warning(self, port: Line, caplog: pytest.LogCaptureFixture) -> None:
         with (
             Server(Device(Mapping(1, 1, 1, 1))).background(f"rtu://{port.path}"),
             caplog.at_level(logging.WARNING),
@@ -197,7 +197,7 @@ class TestEnding:
             importlib.import_module("libmodbus_py.tools.listener.listener"), "IDLE", 99.0
         )
 
-    def test_close_from_another_thread(self, port: Line) -> None:
+    def test_closing_from_another_thread_ends_the_iteration(self, port: Line) -> None:
         gathering = Gathering(listen(f"rtu://{port.path}"))
         time.sleep(0.1)
         with pytest.raises(RuntimeError, match="listening already"):
@@ -271,7 +271,7 @@ def tapped(request: pytest.FixtureRequest, device: Device) -> Iterator[Gathering
 
 
 class TestBetween:
-    def test_many_clients(self, tapped: Gathering) -> None:
+    def test_a_tap_pairs_the_requests_of_many_clients(self, tapped: Gathering) -> None:
         def ask(address: int) -> None:
             with Client(tapped.line.url, unit=UNIT) as client:
                 for _ in range(20):
@@ -279,9 +279,9 @@ class TestBetween:
 
         with ThreadPoolExecutor(8) as pool:
             list(pool.map(ask, range(100, 108)))
-        done = tapped.wait_for(160)
-        assert {each.kind for each in done} == {"answered"}
-        assert len(done) == 160
+        transactions = tapped.wait_for(160)
+        assert {each.kind for each in transactions} == {"answered"}
+        assert len(transactions) == 160
 
     def test_bytes_pass_unchanged_though_nobody_looks(self) -> None:
         """More than is kept to be shown."""
@@ -312,16 +312,16 @@ class TestBetween:
             with socket.create_connection(place, 10) as client:
                 assert client.recv(1) == b""
 
-    def test_a_taken_port(self) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as taken:
-            url = f"rtu+tcp://127.0.0.1:{taken.getsockname()[1]}"
+    def test_a_tap_at_a_port_in_use_is_refused(self) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            url = f"rtu+tcp://127.0.0.1:{server.getsockname()[1]}"
             with pytest.raises(ModbusConnectionError, match="cannot listen on rtu"):
                 listen(url, between="rtu+tcp://127.0.0.1:1")
 
 
 class TestArguments:
     def test_wrong_arguments_of_listen_are_refused(self, refused: Refused) -> None:
-        refused("refused.txt", lambda given: listen(given[0], between=given[1]))
+        refused("refused.txt", lambda arguments: listen(arguments[0], between=arguments[1]))
 
     def test_a_capture_that_cannot_be_written(self, port: Line, tmp_path: Path) -> None:
         with pytest.raises(OSError, match="Is a directory"):

@@ -4,7 +4,7 @@ from libmodbus_py import Point, RegisterMap
 from libmodbus_py.listen import MapDecoder, Separator, Transaction
 from libmodbus_py.tools.listener.named import LearnedMap
 from tests.support.cases import each_case
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 
 POINTS = RegisterMap(
     [
@@ -18,15 +18,15 @@ POINTS = RegisterMap(
 )
 
 
-def heard(*pairs: tuple[str, str]) -> list[Transaction]:
+def pairs_of(*pairs: tuple[str, str]) -> list[Transaction]:
     """Return transactions of unit 17 on a line: requests, and responses, empty for none."""
-    separator, found, at = Separator("rtu"), list[Transaction](), 0.0
+    separator, transactions, at = Separator("rtu"), list[Transaction](), 0.0
     for pair in pairs:
         for text in filter(None, pair):
             at += 0.1
-            found += separator.feed(rtu(f"11 {text}"), at)
+            transactions += separator.feed(rtu(f"11 {text}"), at)
         at += 10
-    return found + separator.end()
+    return transactions + separator.end()
 
 
 READ_3 = ("03 006B 0003", "03 06 08FD 0001 0002")  # 2301; 65538
@@ -67,31 +67,31 @@ WRITTEN = ("valve", "secret")
 )
 def test_values_of_a_map_in_transactions(pairs, values) -> None:
     decoder = MapDecoder(POINTS)
-    found = [each for transaction in heard(*pairs) for each in decoder.decode(transaction)]
-    assert [(each.name, each.value) for each in found] == values
-    assert {each.unit for each in found} <= {17}
-    assert all(each.reason == "" for each in found if each.value is not None)
-    assert [each.is_written for each in found] == [each.name in WRITTEN for each in found]
+    decodings = [each for transaction in pairs_of(*pairs) for each in decoder.decode(transaction)]
+    assert [(each.name, each.value) for each in decodings] == values
+    assert {each.unit for each in decodings} <= {17}
+    assert all(each.reason == "" for each in decodings if each.value is not None)
+    assert [each.is_written for each in decodings] == [each.name in WRITTEN for each in decodings]
 
 
 def test_units_keep_their_own_cells() -> None:
     decoder, separator = MapDecoder(POINTS), Separator("rtu")
-    found = []
+    values = []
     for at, text in enumerate(
         ("11 03 006C 0001", "11 03 02 0001", "12 03 006D 0001", "12 03020002")
     ):
         for each in separator.feed(rtu(text), at * 0.1):
-            found += decoder.decode(each)
-    assert found == []
+            values += decoder.decode(each)
+    assert values == []
 
 
 def test_a_map_is_learned_of_what_was_asked() -> None:
     learned = LearnedMap()
     again = ("03 006B 0003", "03 06 08FE 0001 0002")
-    for each in heard(READ_3, again, REFUSED, COIL, MASK, ("04 0010 0001", "84 02")):
+    for each in pairs_of(READ_3, again, REFUSED, COIL, MASK, ("04 0010 0001", "84 02")):
         learned.add_transaction(each)
-    found = {each.name: each for each in learned.points()}
-    assert {name: (each.access, each.description) for name, each in found.items()} == {
+    points = {each.name: each for each in learned.points()}
+    assert {name: (each.access, each.description) for name, each in points.items()} == {
         "unit_17_coils_172": ("write", "1"),
         "unit_17_holding_registers_4": ("write", "no value heard"),
         "unit_17_holding_registers_107": ("read_write", "2301..2302"),
@@ -99,18 +99,18 @@ def test_a_map_is_learned_of_what_was_asked() -> None:
         "unit_17_holding_registers_109": ("read", "2"),
         "unit_17_input_registers_16": ("read", "no value heard"),
     }
-    assert {each.group for each in found.values()} == {"unit 17"}
+    assert {each.group for each in points.values()} == {"unit 17"}
 
 
 def test_a_broadcast_has_the_values_that_it_writes_and_no_others() -> None:
     decoder, learned, separator = MapDecoder(POINTS), LearnedMap(), Separator("rtu")
-    found = []
+    values = []
     transactions = separator.feed(rtu("00 03 006B 0003"), 0.0)  # a mistake of the master
     transactions += separator.feed(rtu("00 06 006B 0001"), 5.0)
     for each in transactions + separator.end():
-        found += decoder.decode(each)
+        values += decoder.decode(each)
         learned.add_transaction(each)
-    assert [(each.unit, each.name, each.value, each.is_written) for each in found] == [
+    assert [(each.unit, each.name, each.value, each.is_written) for each in values] == [
         (0, "voltage", 0.1, True)
     ]
     assert [each.description for each in learned.points()] == ["1", *["no value heard"] * 2]

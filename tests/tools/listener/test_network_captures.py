@@ -133,7 +133,7 @@ ETHERNET = bytes(12)
         (276, b"\x08\0" + bytes(18)),
     ],
 )
-def test_each_link_type(link: int, head: bytes, tmp_path: Path) -> None:
+def test_captures_of_each_link_type_are_read(link: int, head: bytes, tmp_path: Path) -> None:
     path = tmp_path / "x.pcap"
     other = ETHERNET + b"\x08\x06" + bytes(28) if link == 1 else b""  # ARP, or nothing
     path.write_bytes(pcap([head + each for each in TWO] + [other], link))
@@ -141,7 +141,7 @@ def test_each_link_type(link: int, head: bytes, tmp_path: Path) -> None:
 
 
 @each_case("order", ["<", ">"])
-def test_each_order_and_resolution(order: str, tmp_path: Path) -> None:
+def test_captures_of_each_byte_order_and_resolution_are_read(order: str, tmp_path: Path) -> None:
     files = [pcap(TWO, 101, order, nanos=nanos) for nanos in (False, True)]
     files += [pcapng(TWO, 101, order, resolution) for resolution in (3, 6, 9, 0x8A)]
     for data in files:
@@ -153,7 +153,7 @@ def test_each_order_and_resolution(order: str, tmp_path: Path) -> None:
         assert first.duration == pytest.approx(0.001, abs=1e-3)
 
 
-def test_ipv6_with_an_extension_header(tmp_path: Path) -> None:
+def test_ipv6_with_an_extension_header_is_read(tmp_path: Path) -> None:
     packets = [
         ip_6(tcp(ASKED, 1, asks=True, ports=(50000, 502)), asks=True),
         ip_6(tcp(ANSWERED, 1, asks=False, ports=(50000, 502)), asks=False),
@@ -165,11 +165,11 @@ SYN = packet(b"", 2**32 - 6, asks=True, flags=0x02, ports=(1024, 60502))
 SYN_ACK = packet(b"", 4, asks=False, flags=0x12, ports=(1024, 60502))
 
 
-def asked(data: bytes, number: int) -> bytes:
+def ask(data: bytes, number: int) -> bytes:
     return packet(data, number, asks=True, ports=(1024, 60502))
 
 
-def answered(data: bytes, number: int) -> bytes:
+def answer(data: bytes, number: int) -> bytes:
     return packet(data, number, asks=False, ports=(1024, 60502))
 
 
@@ -182,33 +182,33 @@ BOTH = ASKED + ASKED_2
     "packets",
     [
         # Several ADUs in a segment; one cut into bytes.
-        [SYN, SYN_ACK, asked(BOTH, FIRST), answered(ANSWERED + ANSWERED_2, 5)],
+        [SYN, SYN_ACK, ask(BOTH, FIRST), answer(ANSWERED + ANSWERED_2, 5)],
         [
             *(SYN, SYN_ACK),
-            *(asked(BOTH[at : at + 1], FIRST + at) for at in range(len(BOTH))),
-            answered(ANSWERED + ANSWERED_2, 5),
+            *(ask(BOTH[at : at + 1], FIRST + at) for at in range(len(BOTH))),
+            answer(ANSWERED + ANSWERED_2, 5),
         ],
         # Sent again: the same, longer, and after the response; each packet captured twice.
         [
-            *(SYN, SYN, SYN_ACK, asked(ASKED, FIRST), asked(ASKED, FIRST), asked(BOTH, FIRST)),
-            *(answered(ANSWERED, 5), asked(ASKED, FIRST), answered(ANSWERED + ANSWERED_2, 5)),
+            *(SYN, SYN, SYN_ACK, ask(ASKED, FIRST), ask(ASKED, FIRST), ask(BOTH, FIRST)),
+            *(answer(ANSWERED, 5), ask(ASKED, FIRST), answer(ANSWERED + ANSWERED_2, 5)),
         ],
         # In another order.
         [
-            *(SYN, SYN_ACK, asked(ASKED_2, FIRST + 12), asked(ASKED, FIRST)),
-            *(answered(ANSWERED_2, 20), answered(ANSWERED, 5)),
+            *(SYN, SYN_ACK, ask(ASKED_2, FIRST + 12), ask(ASKED, FIRST)),
+            *(answer(ANSWERED_2, 20), answer(ANSWERED, 5)),
         ],
         # A padded Ethernet frame, and a length of 0, as network cards that cut packets leave it.
-        [SYN, SYN_ACK, asked(BOTH, FIRST) + bytes(6), answered(ANSWERED + ANSWERED_2, 5)],
+        [SYN, SYN_ACK, ask(BOTH, FIRST) + bytes(6), answer(ANSWERED + ANSWERED_2, 5)],
         [
-            *(SYN, SYN_ACK, asked(BOTH, FIRST)),
-            answered(ANSWERED + ANSWERED_2, 5).replace(b"\x45\0\0\x43", b"\x45\0\0\0"),
+            *(SYN, SYN_ACK, ask(BOTH, FIRST)),
+            answer(ANSWERED + ANSWERED_2, 5).replace(b"\x45\0\0\x43", b"\x45\0\0\0"),
         ],
         # Not from the beginning, and another protocol beside it.
         [
             packet(b"SSH-2.0-OpenSSH_9.2\r\n", 5, asks=True, ports=(4000, 22)),
-            *(SYN, SYN_ACK, asked(ASKED[7:], FIRST), asked(BOTH, FIRST + 5)),
-            answered(ANSWERED + ANSWERED_2, 5),
+            *(SYN, SYN_ACK, ask(ASKED[7:], FIRST), ask(BOTH, FIRST + 5)),
+            answer(ANSWERED + ANSWERED_2, 5),
         ],
     ],
 )
@@ -229,8 +229,8 @@ def test_a_lost_segment_costs_its_transaction_only(tmp_path: Path) -> None:
 
     def segment(data: bytes, number: int, acknowledged: int, *, asks: bool) -> bytes:
         ports = (50000, 502)
-        given = {"flags": 0x18, "ports": ports, "acknowledged": acknowledged}
-        return ip(tcp(data, number, asks=asks, **given), asks=asks)  # type: ignore[arg-type]
+        options = {"flags": 0x18, "ports": ports, "acknowledged": acknowledged}
+        return ip(tcp(data, number, asks=asks, **options), asks=asks)  # type: ignore[arg-type]
 
     many = []
     for at in range(100):

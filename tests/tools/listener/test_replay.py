@@ -80,8 +80,8 @@ def test_a_capture_without_requests_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_replay_gives_the_same_answers_to_its_requests(capture: Path, replayed: Client) -> None:
-    found = list(differences(replayed, capture, units=None, writes=True))
-    assert found == [None] * 6
+    rows = list(differences(replayed, capture, units=None, writes=True))
+    assert rows == [None] * 6
 
 
 def test_differences_are_named_and_nothing_is_written_unless_wanted(capture: Path) -> None:
@@ -92,11 +92,11 @@ def test_differences_are_named_and_nothing_is_written_unless_wanted(capture: Pat
         Server(devices).background("tcp://127.0.0.1:0") as running,
         Client(running.urls[0], timeout=5) as client,
     ):
-        found = list(differences(client, capture, units=None, writes=False))
-        assert [each and each.answer for each in found[:4:2]] == [[555, 0, 101], None]
-        assert [each is None for each in found] == [False, False, True, True, False]
-        assert found[4] is not None
-        assert (found[4].transaction.request, found[4].answer) == (
+        rows = list(differences(client, capture, units=None, writes=False))
+        assert [each and each.answer for each in rows[:4:2]] == [[555, 0, 101], None]
+        assert [each is None for each in rows] == [False, False, True, True, False]
+        assert rows[4] is not None
+        assert (rows[4].transaction.request, rows[4].answer) == (
             *(pdu.ReadHoldingRegisters(4096, 1), [0]),
         )
         assert devices[2].mapping.holding_registers[1] == 0
@@ -121,10 +121,10 @@ def test_requests_of_pymodbus_at_a_tap_are_replayed(tmp_path: Path) -> None:
         Server({1: device}).background("rtu+tcp://127.0.0.1:0") as running,
         listen("rtu+tcp://127.0.0.1:0", between=running.urls[0], capture=path) as tap,
     ):
-        asked = asyncio.run(ask(int(tap.url.rpartition(":")[2])))
+        values = asyncio.run(ask(int(tap.url.rpartition(":")[2])))
         next(tap)
     with (
         Server(replayed_devices(path)).background("tcp://127.0.0.1:0") as running,
         Client(running.urls[0]) as client,
     ):
-        assert client.read_holding_registers(4, 3) == asked == [7, 8, 9]
+        assert client.read_holding_registers(4, 3) == values == [7, 8, 9]

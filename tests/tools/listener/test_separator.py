@@ -16,8 +16,8 @@ from libmodbus_py import pdu
 from libmodbus_py.listen import Separator, Transaction
 from libmodbus_py.tools.listener.transaction import Heard, Kind
 from tests.support.cases import each_case
+from tests.support.driver import ascii_frame, rtu
 from tests.support.framing import NO_REQUESTS
-from tests.support.talk import ascii_frame, rtu
 from tests.support.vectors import exchanges
 
 ASK = rtu("01 03 00 00 00 02")
@@ -35,21 +35,21 @@ Piece = tuple[float, bytes]
 
 def listen(pieces: Iterable[Piece], framing: str = "rtu") -> list[Transaction]:
     separator = Separator(framing)  # type: ignore[arg-type]
-    done = [each for at, data in pieces for each in separator.feed(data, at)]
-    return done + separator.end()
+    transactions = [each for at, data in pieces for each in separator.feed(data, at)]
+    return transactions + separator.end()
 
 
 def kinds(pieces: Iterable[Piece], framing: str = "rtu") -> list[str]:
     return [each.kind for each in listen(pieces, framing)]
 
 
-def named(pieces: Iterable[Piece], framing: str = "rtu") -> list[tuple[str, bytes]]:
-    heard: list[Heard] = []
-    separator = Separator(framing, heard.append)  # type: ignore[arg-type]
+def parts_of(pieces: Iterable[Piece], framing: str = "rtu") -> list[tuple[str, bytes]]:
+    frames: list[Heard] = []
+    separator = Separator(framing, frames.append)  # type: ignore[arg-type]
     for at, data in pieces:
         separator.feed(data, at)
     separator.end()
-    return [(each.part, each.frame.pdu if each.frame else each.data) for each in heard]
+    return [(each.part, each.frame.pdu if each.frame else each.data) for each in frames]
 
 
 @each_case("framing", ["rtu", "ascii"])
@@ -66,18 +66,18 @@ def test_every_example_of_the_specification_finds_its_answer(framing: str, step:
             at += pause
     if step < 0:
         pieces = [(0.0, b"".join(data for _, data in pieces))]
-    done = listen(pieces, framing)
-    assert {each.kind for each in done} == {"answered", "exception"}
-    assert len(done) == len(pairs) > 15
+    transactions = listen(pieces, framing)
+    assert {each.kind for each in transactions} == {"answered", "exception"}
+    assert len(transactions) == len(pairs) > 15
 
 
 def test_question_and_answer_with_their_times() -> None:
-    (done,) = listen([(100.0, ASK), (100.25, ANSWER)])
-    assert (done.kind, done.time, done.unit, done.function) == ("answered", 100.0, 1, 3)
-    assert (done.request, done.response) == (pdu.ReadHoldingRegisters(0, 2), [7, 9])
-    assert done.duration == pytest.approx(0.25)
-    assert done.error is None
-    assert done.is_good
+    (pair,) = listen([(100.0, ASK), (100.25, ANSWER)])
+    assert (pair.kind, pair.time, pair.unit, pair.function) == ("answered", 100.0, 1, 3)
+    assert (pair.request, pair.response) == (pdu.ReadHoldingRegisters(0, 2), [7, 9])
+    assert pair.duration == pytest.approx(0.25)
+    assert pair.error is None
+    assert pair.is_good
 
 
 def test_refusals_and_requests_without_an_answer_or_with_a_wrong_one() -> None:
@@ -91,7 +91,7 @@ def test_refusals_and_requests_without_an_answer_or_with_a_wrong_one() -> None:
     assert (alone.kind, alone.unit, alone.request) == ("unasked", 1, None)
 
 
-def test_requests_that_are_not_decoded() -> None:
+def test_requests_that_are_not_decoded_keep_their_bytes() -> None:
     (refused,) = listen([(0.0, rtu("01 03 00 00 00 00")), (0.1, rtu("01 83 03"))])
     assert (refused.request, refused.kind) == (pdu.RawRequest(3, bytes(4)), "exception")
     (unknown,) = listen([(0.0, rtu("01 41 AA BB")), (0.1, rtu("01 41 CC"))])
@@ -110,10 +110,10 @@ def test_every_kind_says_what_it_is() -> None:
 def test_a_frame_without_a_function_is_invalid(code, direction, framing) -> None:
     separator = Separator(framing)  # type: ignore[arg-type]
     frame = MAKE[framing](f"01 {code} 01")
-    done = separator.feed(frame, 0.0, direction)  # type: ignore[arg-type]
-    done += separator.end()
-    assert [(each.kind, each.unit) for each in done] == [("invalid", 1)]
-    assert f"{code}h" in str(done[0])
+    transactions = separator.feed(frame, 0.0, direction)  # type: ignore[arg-type]
+    transactions += separator.end()
+    assert [(each.kind, each.unit) for each in transactions] == [("invalid", 1)]
+    assert f"{code}h" in str(transactions[0])
 
 
 @pytest.mark.parametrize("framing", ["rtu", "ascii"])
@@ -123,9 +123,9 @@ def test_a_good_frame_that_nobody_sends_is_no_damage(framing: str) -> None:
     ask, answer = make("02 03 0000 0001"), make("02 03 02 0001")
     for body in ["00", "00 01 02 03", *NO_REQUESTS]:
         frames = [ask, answer, make(f"02 {body}"), ask, answer]
-        found = kinds([(at / 10, frame) for at, frame in enumerate(frames)], framing)
-        assert found[0] == found[-1] == "answered", body
-        assert found[1:-1] in (["unasked"], ["invalid"]), body
+        outcome = kinds([(at / 10, frame) for at, frame in enumerate(frames)], framing)
+        assert outcome[0] == outcome[-1] == "answered", body
+        assert outcome[1:-1] in (["unasked"], ["invalid"]), body
 
 
 def in_bytes(frame: bytes) -> list[Piece]:
@@ -175,9 +175,9 @@ LINES: list[tuple[list[Piece], str]] = [
 ]  # fmt: skip
 
 
-@each_case(("pieces", "said"), LINES)
-def test_frames_on_a_line_become_transactions(pieces: list[Piece], said: str) -> None:
-    assert ", ".join(kinds(pieces)) == said
+@each_case(("pieces", "text"), LINES)
+def test_frames_on_a_line_become_transactions(pieces: list[Piece], text: str) -> None:
+    assert ", ".join(kinds(pieces)) == text
 
 
 @each_case("question", ECHOED)
@@ -188,24 +188,24 @@ def test_an_echo_is_the_answer_if_it_comes_soon_and_else_the_question(question: 
 
 
 @each_case(
-    ("answers", "timeout", "last", "said"),
+    ("answers", "timeout", "last", "text"),
     [
         (0.4, 3.0, [200.0, 200.4], ["answered"]),
         (0.002, 0.05, [200.0, 200.05, 200.052], ["unanswered", "answered"]),
     ],
 )
-def test_the_limit_is_learnt(answers, timeout, last, said) -> None:
+def test_the_limit_is_learnt(answers, timeout, last, text) -> None:
     """The unit takes so long to answer, and the client waits so long for an answer."""
     pieces: list[Piece] = []
     for number in range(10):
         at = 10.0 * number
         pieces += [(at, ASK), (at + answers, ANSWER), (at + 1, OTHER), (at + 1 + timeout, OTHER)]
-    assert kinds([*pieces, *((at, WRITE) for at in last)])[-len(said) :] == said
+    assert kinds([*pieces, *((at, WRITE) for at in last)])[-len(text) :] == text
 
 
 def test_repeats_are_counted_and_late_answers_named() -> None:
-    done = listen([(0.0, ASK), (1.0, ASK), (2.0, ASK), (2.1, ANSWER)])
-    assert [(each.kind, each.repeats) for each in done] == [
+    transactions = listen([(0.0, ASK), (1.0, ASK), (2.0, ASK), (2.1, ANSWER)])
+    assert [(each.kind, each.repeats) for each in transactions] == [
         *(("unanswered", 0), ("unanswered", 1), ("answered", 2))
     ]
     _, late, _ = listen([(0.0, ASK), (1.0, OTHER), (1.1, ANSWER)])
@@ -213,34 +213,34 @@ def test_repeats_are_counted_and_late_answers_named() -> None:
     assert late.duration == pytest.approx(1.1)
 
 
-def test_a_doubled_echo() -> None:
+def test_a_doubled_echo_is_unasked() -> None:
     pieces = [(0.0, WRITE), (1.0, WRITE), (1.01, WRITE), (1.02, WRITE), (1.05, ASK), (1.06, ANSWER)]
     assert kinds(pieces) == ["unanswered", "answered", "unasked", "answered"]
-    parts = [part for part, _ in named(pieces)]
+    parts = [part for part, _ in parts_of(pieces)]
     assert parts == ["request", "request", "response", "response", "request", "response"]
 
 
 def test_damage_in_place_of_a_response_and_beside_it() -> None:
     bad = damaged(ANSWER)
-    (done,) = listen([(0.0, ASK), (0.01, bad)])
-    assert done.request == pdu.ReadHoldingRegisters(0, 2)
-    assert done.error is not None
-    assert done.error.received == bad
+    (transaction,) = listen([(0.0, ASK), (0.01, bad)])
+    assert transaction.request == pdu.ReadHoldingRegisters(0, 2)
+    assert transaction.error is not None
+    assert transaction.error.received == bad
     pieces = [(0.0, b"\xff" + ASK), (0.01, b"\x00\xfe" + ANSWER + b"\xfd\xfc"), (1.0, ASK)]
-    found = kinds([*pieces, (1.01, ANSWER)])
-    assert [each for each in found if each != "damaged"] == ["answered", "answered"]
+    outcome = kinds([*pieces, (1.01, ANSWER)])
+    assert [each for each in outcome if each != "damaged"] == ["answered", "answered"]
     ask, answer = ascii_frame("01 03 00 00 00 02"), ascii_frame("01 03 04 00 07 00 09")
-    found = kinds([(0.0, b"noise"), (1.0, ask), (1.1, answer)], "ascii")
-    assert found == ["damaged", "answered"]
+    outcome = kinds([(0.0, b"noise"), (1.0, ask), (1.1, answer)], "ascii")
+    assert outcome == ["damaged", "answered"]
 
 
-def test_a_pause_inside_a_frame() -> None:
+def test_pauses_inside_a_frame_do_not_end_it() -> None:
     """A long answer came in pieces of 32 bytes, with gaps."""
     data = rtu("01 03 A0" + "00 07" * 80)
     pieces = [(0.0, rtu("01 03 00 00 00 50"))]
     pieces += [(0.1 + at / 32 * 0.03, data[at : at + 32]) for at in range(0, len(data), 32)]
-    (done,) = listen(pieces)
-    assert (done.kind, done.response) == ("answered", [7] * 80)
+    (transaction,) = listen(pieces)
+    assert (transaction.kind, transaction.response) == ("answered", [7] * 80)
 
 
 @pytest.mark.parametrize("framing", ["rtu", "ascii"])
@@ -250,11 +250,11 @@ def test_noise_is_told_before_it_ends_and_takes_a_bounded_memory(framing: str) -
     counts = []
     tracemalloc.start()
     for number in range(200):
-        done = separator.feed(noise.randbytes(4096), number * 0.001)
+        transactions = separator.feed(noise.randbytes(4096), number * 0.001)
         counts.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
     assert counts[-1] < counts[20] + 100_000
-    assert any(each.kind == "damaged" for each in done)
+    assert any(each.kind == "damaged" for each in transactions)
 
 
 @each_case("framing", ["rtu", "ascii"])
@@ -273,15 +273,15 @@ def test_a_line_that_is_in_order_again_is_understood(framing: str, seed: int) ->
     at += 2
     separator.tick(at)
     separator.feed(ask, at)
-    done = separator.feed(answer, at + 0.01)
-    assert [each.kind for each in done][-1] == "answered"
+    transactions = separator.feed(answer, at + 0.01)
+    assert [each.kind for each in transactions][-1] == "answered"
 
 
 FRONT = bytes([1, 3, 0xFA, 0, 0])
 
 
 @each_case(
-    ("pieces", "told"),
+    ("pieces", "results"),
     [
         ([(ASK, None)], {1.0: [], 20.0: [("unanswered", b"")], 21.0: []}),
         ([(ASK[:4], None)], {0.1: [], 2.0: [("damaged", ASK[:4])]}),
@@ -290,29 +290,29 @@ FRONT = bytes([1, 3, 0xFA, 0, 0])
         ([(ASK, "client"), (ANSWER[:3], "server")], {0.5: [], 9.0: [("damaged", ANSWER[:3])]}),
     ],
 )
-def test_a_transaction_that_is_over_is_returned_without_another_byte(pieces, told) -> None:
+def test_a_transaction_that_is_over_is_returned_without_another_byte(pieces, results) -> None:
     separator = Separator("rtu")
     for data, direction in pieces:
         assert separator.feed(data, 0.0, direction) == []
-    for at, expected in told.items():
-        done = separator.tick(at)
-        found = [(each.kind, each.error.received if each.error else b"") for each in done]
-        assert found == expected, at
+    for at, outcomes in results.items():
+        transactions = separator.tick(at)
+        outcome = [(each.kind, each.error.received if each.error else b"") for each in transactions]
+        assert outcome == outcomes, at
     is_known = pieces[0][1] is not None
     assert separator.feed(ASK, 30.0, "client" if is_known else None) == []
-    (done,) = separator.feed(ANSWER, 30.1, "server" if is_known else None)
-    assert done.kind == "answered"
+    (transaction,) = separator.feed(ANSWER, 30.1, "server" if is_known else None)
+    assert transaction.kind == "answered"
 
 
-def test_known_directions() -> None:
+def test_a_known_direction_decides_between_request_and_response() -> None:
     separator = Separator("rtu")
     assert separator.feed(WRITE, 0.0, "client") == []
     assert separator.feed(WRITE, 1.0, "client")[0].kind == "unanswered"
-    (done,) = separator.feed(WRITE, 1.9, "server")
-    assert (done.kind, done.repeats) == ("answered", 1)
+    (transaction,) = separator.feed(WRITE, 1.9, "server")
+    assert (transaction.kind, transaction.repeats) == ("answered", 1)
     separator.feed(OTHER, 2.0, "client")
-    (done,) = separator.feed(rtu("02 03 02 00 05"), 2.1, "server")  # shorter than a request
-    assert done.kind == "answered"
+    (transaction,) = separator.feed(rtu("02 03 02 00 05"), 2.1, "server")  # shorter than a request
+    assert transaction.kind == "answered"
 
 
 def test_a_framing_that_does_not_exist_is_refused() -> None:
@@ -324,8 +324,8 @@ def test_scripts_of_any_size_give_the_same() -> None:
     """However the bytes are cut, and whenever they are seen, they mean the same."""
     writes = rtu("02 10 00 01 00 01 02 00 05") + rtu("02 10 00 01 00 01")
     data = ASK + ANSWER + WRITE + WRITE + writes
-    whole = named([(0.0, data)])
+    whole = parts_of([(0.0, data)])
     assert [part for part, _ in whole] == ["request", "response"] * 3
     for size in range(1, 20):
         pieces = [(0.0, data[at : at + size]) for at in range(0, len(data), size)]
-        assert named(pieces) == whole
+        assert parts_of(pieces) == whole

@@ -11,7 +11,7 @@ import pytest
 from libmodbus_py.listen import listen
 from libmodbus_py.tools import timed_server
 from libmodbus_py.tools.listener import sources
-from tests.support.peers import dead, until
+from tests.support.peers import mute_port, until
 
 Ends = tuple[socket.socket, socket.socket]
 
@@ -40,8 +40,8 @@ class Tapped:
 
 @pytest.fixture
 def tapped() -> Iterator[Tapped]:
-    with contextlib.closing(Tapped()) as made:
-        yield made
+    with contextlib.closing(Tapped()) as tap:
+        yield tap
 
 
 def passes(ends: Ends) -> bool:
@@ -91,7 +91,7 @@ def test_the_one_that_was_idle_longest_makes_room(tapped: Tapped, monkeypatch) -
 
 
 def test_closing_ends_one_that_is_being_connected() -> None:
-    with dead() as port:
+    with mute_port() as port:
         line = listen("rtu+tcp://127.0.0.1:0", between=f"rtu+tcp://127.0.0.1:{port}")
         place = "127.0.0.1", int(line.url.rpartition(":")[2])
         before = threading.active_count()

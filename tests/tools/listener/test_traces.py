@@ -14,7 +14,7 @@ from libmodbus_py.ports.trace import Traced
 from libmodbus_py.tools.listener.pairing import MOST, MOST_CONNECTIONS, TIMEOUT, TracePairing
 from libmodbus_py.tools.listener.transaction import Transaction
 from tests.support.cases import each_case
-from tests.support.talk import rtu
+from tests.support.driver import rtu
 
 TCP, LINE = "tcp://127.0.0.1:502", "rtu:///dev/ttyUSB0"
 
@@ -126,10 +126,10 @@ def traced(event: Event, endpoint: str) -> Traced:
     return Traced(event.at, endpoint, direction, event.adu, unit, function, event.peer)  # type: ignore[arg-type]
 
 
-def told(done: list[Transaction]) -> str:
-    done = sorted(done, key=lambda each: each.time)
-    where = ["" if each.unit is None else f"{each.unit}:{each.function} " for each in done]
-    return ", ".join(f"{place}{each.kind}" for place, each in zip(where, done, strict=True))
+def texts(transactions: list[Transaction]) -> str:
+    transactions = sorted(transactions, key=lambda each: each.time)
+    where = ["" if each.unit is None else f"{each.unit}:{each.function} " for each in transactions]
+    return ", ".join(f"{place}{each.kind}" for place, each in zip(where, transactions, strict=True))
 
 
 def paired(events: list[Event], endpoint: str) -> str:
@@ -137,25 +137,25 @@ def paired(events: list[Event], endpoint: str) -> str:
     for each in events:
         pairing.take(traced(each, endpoint))
     pairing.end()
-    return told([each.transaction for each in pairing.done])
+    return texts([each.transaction for each in pairing.done])
 
 
 @each_case(("events", "kinds"), ON_TCP)
-def test_a_trace_on_tcp(events: list[Event], kinds: str) -> None:
+def test_a_trace_on_tcp_becomes_transactions(events: list[Event], kinds: str) -> None:
     assert paired(events, TCP) == kinds
 
 
 @each_case(("events", "kinds"), [*ON_LINES, ([ask(0, ASK), answer(1, ANSWER_18)], "17:3 invalid")])
-def test_a_trace_on_a_line(events: list[Event], kinds: str) -> None:
+def test_a_trace_on_a_line_becomes_transactions(events: list[Event], kinds: str) -> None:
     assert paired(events, LINE) == kinds
 
 
 @each_case(("events", "kinds"), ON_LINES)
 def test_a_listener_between_both_says_the_same(events: list[Event], kinds: str) -> None:
-    separator, done = Separator("rtu"), []
+    separator, transactions = Separator("rtu"), []
     for at, direction, adu, _, _ in events:
-        done += separator.feed(adu, at, "client" if direction == "received" else "server")
-    assert told(done + separator.end()) == kinds
+        transactions += separator.feed(adu, at, "client" if direction == "received" else "server")
+    assert texts(transactions + separator.end()) == kinds
 
 
 def test_a_response_that_comes_too_late_is_late() -> None:
@@ -189,7 +189,7 @@ def test_connections_are_forgotten() -> None:
                 pairing.take(traced(event, TCP))
             pairing.tick(at)
             pairing.done.clear()
-        kept, _ = tracemalloc.get_traced_memory()
+        memory, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert kept < 200_000
+    assert memory < 200_000

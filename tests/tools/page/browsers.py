@@ -127,12 +127,12 @@ def _is_free(place: tuple[int, str], port: int) -> bool:
 
 
 def _port(output: Iterator[str]) -> int:
-    said = []
+    lines = []
     for line in output:
-        if found := re.search(r"on port (\d+)\.$", line.strip()):
-            return int(found[1])
-        said.append(line)
-    raise RuntimeError(f"chromedriver did not start: {''.join(said)}")
+        if match := re.search(r"on port (\d+)\.$", line.strip()):
+            return int(match[1])
+        lines.append(line)
+    raise RuntimeError(f"chromedriver did not start: {''.join(lines)}")
 
 
 class Person:
@@ -170,19 +170,19 @@ class Person:
         self.one(selector).send_keys(text)
 
     def all(self, selector: str) -> list[Any]:
-        found: list[Any] = self.driver.find_elements("css selector", selector)
-        return found
+        elements: list[Any] = self.driver.find_elements("css selector", selector)
+        return elements
 
     def one(self, selector: str) -> Any:
         return until(lambda: self.all(selector))[0]
 
     def text(self, selector: str) -> str:
         """As it stands there, also where it is scrolled out of sight."""
-        found: str = self.run(
+        texts: str = self.run(
             "return [...document.querySelectorAll(arguments[0])].map(e => e.textContent).join('|')",
             selector,
         )
-        return found
+        return texts
 
     def attribute(self, selector: str, name: str) -> Any:
         """In one step, for the element may be drawn again between finding and asking it."""

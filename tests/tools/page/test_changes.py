@@ -13,7 +13,7 @@ from libmodbus_py.tools.simulator.device_file import load
 from libmodbus_py.tools.simulator.simulated import SimulatedDevice
 from tests.support.golden import Refused
 from tests.support.peers import until
-from tests.tools.page.watching import NAMES, Visitor, is_served, shown
+from tests.tools.page.watching import NAMES, Visitor, is_served, page_of
 
 H = "holding_registers"
 
@@ -29,7 +29,7 @@ VALUES: list[tuple[str, str, str]] = [
 
 
 def test_values_that_are_typed_are_set() -> None:
-    with shown() as (_, _, visitor), visitor.watching():
+    with page_of() as (_, _, visitor), visitor.watching():
         visitor.look(1, "points", 0, 100)
         visitor.receive(lambda: visitor.rows("1/points"))
         for name, typed, text in VALUES:
@@ -39,7 +39,7 @@ def test_values_that_are_typed_are_set() -> None:
 
 
 def test_a_value_set_on_the_page_is_read_by_clients() -> None:
-    with shown() as (_, url, visitor), Client(url, unit=1) as plc:
+    with page_of() as (_, url, visitor), Client(url, unit=1) as plc:
         visitor.post("/value", unit=1, point=0, name="temperature", text="3.5")
         assert plc.read_values("holding_registers", 0, "float32", order="CDAB") == [3.5]
         place = {"unit": 1, "table": "holding_registers", "order": "ABCD"}
@@ -53,13 +53,13 @@ def test_a_value_set_on_the_page_is_read_by_clients() -> None:
         assert plc.read_discrete_inputs(0, 4) == [False, False, True, False]
 
 
-def cell(**given: Any) -> dict[str, Any]:
+def cell(**changes: Any) -> dict[str, Any]:
     place = {"unit": 1, "table": "holding_registers", "address": 0, "text": "1"}
-    return {**place, "type": "uint16", "order": "ABCD", **given}
+    return {**place, "type": "uint16", "order": "ABCD", **changes}
 
 
 def test_a_change_that_cannot_be_is_told(refused: Refused) -> None:
-    with shown() as (_, _, visitor):
+    with page_of() as (_, _, visitor):
         refused("refused.txt", visitor.refused)
 
 
@@ -78,9 +78,9 @@ def test_a_value_that_the_device_computes_is_told() -> None:
 
 
 def test_the_page_shows_the_values_that_registers_may_have() -> None:
-    with shown() as (_, _, visitor):
-        found = visitor.post("/readings", unit=1, table="holding_registers", address=0)
-        assert {"type": "float32", "order": "CDAB", "text": "21.5"} in found["readings"]
+    with page_of() as (_, _, visitor):
+        reading = visitor.post("/readings", unit=1, table="holding_registers", address=0)
+        assert {"type": "float32", "order": "CDAB", "text": "21.5"} in reading["readings"]
         for place in ({"table": "coils", "address": 0}, {"table": H, "address": 60}):
             assert visitor.post("/readings", unit=1, **place) == {"readings": []}
 
@@ -109,8 +109,8 @@ def test_a_held_value_stays_can_be_set_and_goes_on(visitor: Visitor) -> None:
 
     def row() -> tuple[str, bool | None, list[int]]:
         empty = {"text": "", "moves": None, "spark": []}
-        found = visitor.seen.get("1/points", {"0": empty})["0"]
-        return found["text"], found["moves"], found["spark"]
+        point = visitor.seen.get("1/points", {"0": empty})["0"]
+        return point["text"], point["moves"], point["spark"]
 
     visitor.receive(lambda: row()[1])
     before = row()[0]
@@ -160,7 +160,7 @@ GIVEN = {1: [Fault("exception", code=6, function=3)], None: [Fault("no_answer", 
 
 def test_faults_are_switched_off_and_on() -> None:
     with (
-        shown(faults=GIVEN) as (_, url, visitor),
+        page_of(faults=GIVEN) as (_, url, visitor),
         visitor.watching(),
         Client(url, unit=1, timeout=5) as plc,
     ):
@@ -178,8 +178,8 @@ def test_faults_are_switched_off_and_on() -> None:
         until(lambda: not reads())
 
 
-def test_a_fault_is_added() -> None:
-    with shown() as (server, url, visitor), visitor.watching():
+def test_a_fault_that_is_added_on_the_page_hits_requests() -> None:
+    with page_of() as (server, url, visitor), visitor.watching():
         body = {"unit": 2, "kind": "no_answer", "function": 3, "every": None, "seconds": None}
         assert visitor.post("/faults", **body) == {}
         visitor.receive(lambda: visitor.seen["faults"])
@@ -190,7 +190,7 @@ def test_a_fault_is_added() -> None:
 
 
 def test_others_may_change_devices_and_faults() -> None:
-    with shown() as (server, _, visitor), visitor.watching():
+    with page_of() as (server, _, visitor), visitor.watching():
         visitor.look(1, "holding_registers", 0, 8)
         visitor.receive(lambda: visitor.cells("1/holding_registers"))
         mapping = Mapping(holding_registers={0: [77] * 8})
@@ -208,8 +208,8 @@ def test_others_may_change_devices_and_faults() -> None:
 
 
 def test_the_number_of_faults_is_limited() -> None:
-    given = [Fault("delay", seconds=1.5), *[Fault("no_answer")] * 198]
-    with shown(faults={1: given}) as (server, _, visitor), visitor.watching():
+    faults = [Fault("delay", seconds=1.5), *[Fault("no_answer")] * 198]
+    with page_of(faults={1: faults}) as (server, _, visitor), visitor.watching():
         assert visitor.rows("faults")[0]["settings"] == "seconds 1.5"
         number = max(map(int, visitor.seen["faults"]))  # equal ones are switched one by one
         assert visitor.post("/fault", number=number, on=False) == {}

@@ -17,11 +17,11 @@ from libmodbus_py.protocol import pdu
 from libmodbus_py.tools.page.log import Log, LogRow, named_cells
 from libmodbus_py.tools.page.units import ShownServer, shown_of
 from tests.support.cases import each_case
-from tests.tools.page.watching import Visitor, made_server, shown
+from tests.tools.page.watching import Visitor, make_server, page_of
 
 
 def test_the_log_has_the_last_writer_of_each_cell() -> None:
-    with shown() as (_, url, visitor), visitor.watching():
+    with page_of() as (_, url, visitor), visitor.watching():
         with Client(url, unit=1) as plc:
             plc.write_registers(100, [1, 2, 3])
             plc.write_coil(5, True)
@@ -33,11 +33,11 @@ def test_the_log_has_the_last_writer_of_each_cell() -> None:
         visitor.post("/value", unit=2, table="holding_registers", address=3, text="9", type="int16",
                      order="ABCD")  # fmt: skip
         visitor.receive(lambda: len(visitor.rows("written")) == 5)
-    found = [
+    writers = [
         (each["unit"], each["table"], each["start"], each["stop"])
         for each in visitor.rows("written")
     ]
-    assert found == [
+    assert writers == [
         (1, "holding_registers", 100, 103),
         (1, "coils", 5, 6),
         (1, "holding_registers", 101, 102),
@@ -49,7 +49,7 @@ def test_the_log_has_the_last_writer_of_each_cell() -> None:
 
 
 def test_the_log_is_text() -> None:
-    with shown() as (_, url, visitor), visitor.watching():
+    with page_of() as (_, url, visitor), visitor.watching():
         with Client(url, unit=1) as plc:
             plc.read_holding_registers(100, 3)
             plc.write_coils(3, [True, False])
@@ -90,15 +90,15 @@ def test_the_log_is_text() -> None:
         (pdu.ReadFifoQueue(2), [1, 2], ""),
     ],
 )
-def test_points_of_requests(request_: Any, response: Any, text: str) -> None:
-    unit = shown_of(made_server()).units[1]
+def test_the_log_names_the_points_of_requests(request_: Any, response: Any, text: str) -> None:
+    unit = shown_of(make_server()).units[1]
     assert named_cells(unit, request_, response) == text
 
 
 @contextlib.contextmanager
-def talked() -> Iterator[Visitor]:
+def visitor_of() -> Iterator[Visitor]:
     """A visitor of a server to which a client wrote, and that refused something."""
-    with shown() as (_, url, visitor), Client(url, timeout=5) as plc, visitor.watching():
+    with page_of() as (_, url, visitor), Client(url, timeout=5) as plc, visitor.watching():
         plc.for_unit(1).write_register(2, 125)
         plc.for_unit(1).read_holding_registers(2, 1)
         with pytest.raises(IllegalDataAddress):
@@ -115,7 +115,7 @@ def saved(visitor: Visitor, query: str) -> list[list[str]]:
 
 
 def test_the_saved_log_has_the_chosen_rows() -> None:
-    with talked() as visitor:
+    with visitor_of() as visitor:
         every = saved(visitor, "")
         assert every[0][:6] == ["time", "client", "unit", "function", "request", "points"]
         assert every[1][2:8] == [
@@ -131,8 +131,8 @@ def test_the_saved_log_has_the_chosen_rows() -> None:
             ("?nonsense=%00&unit=", [0, 1, 2, 3]),
         ):
             assert saved(visitor, query) == [every[0], *(every[1 + at] for at in rows)], query
-        named = [(each["named"], each["writes"]) for each in visitor.rows("log")]
-        assert named[:2] == [("level 12.5 m", True), ("level 12.5 m", False)]
+        names = [(each["named"], each["writes"]) for each in visitor.rows("log")]
+        assert names[:2] == [("level 12.5 m", True), ("level 12.5 m", False)]
 
 
 def test_no_cell_is_a_formula() -> None:

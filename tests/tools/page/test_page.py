@@ -12,13 +12,13 @@ from libmodbus_py import (
     ServerDeviceBusy,
 )
 from libmodbus_py.page import live_page
-from tests.tools.page.watching import NAMES, Visitor, made_server, shown
+from tests.tools.page.watching import NAMES, Visitor, make_server, page_of
 
 TOKEN = "Bookmarked-by_the-plant-2026"
 
 
 def test_the_first_message_has_all_tables() -> None:
-    with shown() as (_, _, visitor), visitor.watching():
+    with page_of() as (_, _, visitor), visitor.watching():
         first, second = visitor.rows("units")
     assert (first["number"], second["number"]) == (1, 2)
     assert first["name"] == "tank <script>alert(1)</script>"
@@ -39,7 +39,7 @@ def test_the_first_message_has_all_tables() -> None:
 
 
 def test_points_are_shown_with_their_values_and_only_what_changes_is_sent() -> None:
-    with shown() as (_, url, visitor), visitor.watching():
+    with page_of() as (_, url, visitor), visitor.watching():
         visitor.look(1, "points", 0, 100)
         visitor.receive(lambda: visitor.points("1/points"))
         assert visitor.points("1/points") == ["21.5", "0.0", "abc", "0, 0", "off", "0"]
@@ -47,12 +47,12 @@ def test_points_are_shown_with_their_values_and_only_what_changes_is_sent() -> N
         with Client(url, unit=1) as plc:
             plc.write_registers(2, [123])
             visitor.receive(lambda: visitor.points("1/points")[1] == "12.3")
-        sent = [each["1/points"] for each in visitor.messages[before:] if "1/points" in each]
-        assert {key for each in sent for key, row in each.items() if row["text"] != "abc"} == {"1"}
+        rows = [each["1/points"] for each in visitor.messages[before:] if "1/points" in each]
+        assert {key for each in rows for key, row in each.items() if row["text"] != "abc"} == {"1"}
 
 
 def test_cells_are_shown_as_far_as_they_are_looked_at() -> None:
-    with shown() as (_, url, visitor), visitor.watching():
+    with page_of() as (_, url, visitor), visitor.watching():
         visitor.look(1, "holding_registers", 100, 110)
         cells = visitor.receive(lambda: visitor.cells("1/holding_registers"))
         assert {cells[at] for at in range(100, 110)} == {0}
@@ -79,7 +79,7 @@ def test_the_server_itself_is_its_only_device() -> None:
 
 
 def test_two_pages_of_a_server_on_one_token_follow_it_and_end_alone() -> None:
-    server = made_server()
+    server = make_server()
     with live_page(server, token=TOKEN) as second, Visitor(second.url).watching() as other:
         with live_page(server, token=TOKEN) as first:
             one = Visitor(first.url)
@@ -101,7 +101,7 @@ def test_two_pages_of_a_server_on_one_token_follow_it_and_end_alone() -> None:
 def test_a_moving_value_is_computed_when_it_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("libmodbus_py.tools.page.units.RETRY", 0.3)
     mapping, is_busy = Mapping(holding_registers=8, input_registers=8), True
-    seen: list[Access] = []
+    accesses: list[Access] = []
 
     def compute(access: Access) -> None:
         touched = range(access.address, access.address + access.count)
@@ -109,23 +109,23 @@ def test_a_moving_value_is_computed_when_it_is_shown(monkeypatch: pytest.MonkeyP
             raise IllegalDataAddress("clients may not read it")
         if 6 in touched and is_busy:
             raise ServerDeviceBusy
-        seen.append(access)
+        accesses.append(access)
         for address in {4, 6} & {*touched}:
             mapping.input_registers[address] += 1
 
     with live_page(server := Server(Device(mapping, before_read=compute))) as page:
         visitor = Visitor(page.url)
         with visitor.watching():
-            assert not seen
+            assert not accesses
             visitor.look(None, "input_registers", 0, 8)
             visitor.receive(lambda: visitor.cells("every/input_registers").get(4, 0) >= 3)
             assert visitor.cells("every/input_registers")[6] == 0
             is_busy = False
             visitor.receive(lambda: visitor.cells("every/input_registers")[6] > 0)
-        count = len(seen)
-        assert {each.table for each in seen} == {"input_registers"}
+        count = len(accesses)
+        assert {each.table for each in accesses} == {"input_registers"}
         assert server.statistics.requests == 0
-    assert len(seen) <= count + 8  # nothing is computed when nobody looks
+    assert len(accesses) <= count + 8  # nothing is computed when nobody looks
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError, SystemExit])

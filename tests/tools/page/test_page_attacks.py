@@ -15,7 +15,7 @@ from tests.support.cases import each_case
 from tests.support.commands import PAGE_TOKEN, Started, page_url, run
 from tests.support.peers import until
 from tests.support.programs import HeldPort
-from tests.tools.page.watching import Visitor, made_server, shown
+from tests.tools.page.watching import Visitor, make_server, page_of
 
 PATHS = ["/", "/scripts/page.js", "/events", "/log.csv", "/value"]
 
@@ -56,22 +56,22 @@ STRANGERS: dict[str, dict[str, str | None]] = {
 
 @each_case("stranger", STRANGERS)
 def test_a_request_without_the_token_is_refused(stranger: str) -> None:
-    with shown() as (server, _, visitor):
-        given = {
+    with page_of() as (server, _, visitor):
+        fields = {
             name: each and each.format(port=visitor.address[1], token=visitor.token)
             for name, each in STRANGERS[stranger].items()
         }
         before = server.devices[1].mapping.holding_registers[2]
         for path in PATHS:
             method = "POST" if path == "/value" else "GET"
-            status, headers, data = visitor.ask(method, path, CHANGE, **given)
+            status, headers, data = visitor.ask(method, path, CHANGE, **fields)
             assert (status, "Set-Cookie" in headers) == (403, False), (path, data)
             assert visitor.token.encode() not in data
         assert server.devices[1].mapping.holding_registers[2] == before
 
 
 def test_the_printed_address_gives_a_cookie_that_scripts_do_not_see() -> None:
-    with shown() as (_, _, visitor):
+    with page_of() as (_, _, visitor):
         path, own = f"/?token={visitor.token}", visitor.headers["Cookie"]
         status, headers, data = visitor.ask("GET", path, Cookie=None, Origin=None)
         assert status == 200
@@ -100,7 +100,7 @@ def test_the_printed_address_gives_a_cookie_that_scripts_do_not_see() -> None:
 
 
 def test_the_headers_of_the_page_restrict_browsers() -> None:
-    with shown() as (_, _, visitor):
+    with page_of() as (_, _, visitor):
         for path in ("/", "/scripts/page.js", "/page.css", "/icon.svg", "/nothing"):
             _, headers, data = visitor.ask("GET", path)
             policy = headers["Content-Security-Policy"]
@@ -154,7 +154,7 @@ BYTES = [
 
 
 def test_requests_that_cannot_be_and_bytes_that_are_none() -> None:
-    with shown() as (_, _, visitor):
+    with page_of() as (_, _, visitor):
         for method, path, body, headers, status in REQUESTS:
             assert visitor.ask(method, path, body, **headers)[0] == status, (path, body, headers)
         for data in BYTES:
@@ -166,7 +166,7 @@ def test_requests_that_cannot_be_and_bytes_that_are_none() -> None:
 
 def test_a_connection_without_a_request_delays_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """More of them than connections; who trickles has gone in time, too."""
-    with shown() as (_, _, visitor), ExitStack() as stack:
+    with page_of() as (_, _, visitor), ExitStack() as stack:
         before = threading.active_count()
         for _ in range(100):
             loris = stack.enter_context(socket.create_connection(visitor.address, 20))
@@ -175,7 +175,7 @@ def test_a_connection_without_a_request_delays_no_other(monkeypatch: pytest.Monk
         until(lambda: threading.active_count() - before <= 70)
     until(lambda: threading.active_count() <= before)
     monkeypatch.setattr("libmodbus_py.tools.page.page.LIMIT", 0.5)
-    with shown() as (_, _, visitor), socket.create_connection(visitor.address, 20) as loris:
+    with page_of() as (_, _, visitor), socket.create_connection(visitor.address, 20) as loris:
         until(lambda: _is_gone(loris))
 
 
@@ -187,7 +187,7 @@ def _is_gone(loris: socket.socket) -> bool:
 
 
 def test_the_number_of_open_pages_is_limited() -> None:
-    with shown() as (_, _, visitor), ExitStack() as stack:
+    with page_of() as (_, _, visitor), ExitStack() as stack:
         for _ in range(16):
             stack.enter_context(Visitor(f"http://{visitor.host}/?token={visitor.token}").watching())
         status, _, data = visitor.ask("GET", "/events")
@@ -198,7 +198,7 @@ def test_the_number_of_open_pages_is_limited() -> None:
 
 def test_a_hundred_pages_that_go_leave_nothing() -> None:
     threads = threading.active_count()
-    with shown() as (_, _, visitor):
+    with page_of() as (_, _, visitor):
         url, before = f"http://{visitor.host}/?token={visitor.token}", 0
         for number in range(100):
             until(lambda: _visited(url))
@@ -219,7 +219,7 @@ def _visited(url: str) -> bool:
 
 
 def test_a_page_that_does_not_read_gets_all_tables_when_it_does() -> None:
-    with shown() as (server, _, visitor), socket.socket() as slow:
+    with page_of() as (server, _, visitor), socket.socket() as slow:
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         slow.settimeout(20)
         slow.connect(visitor.address)
@@ -238,7 +238,7 @@ def test_a_page_that_does_not_read_gets_all_tables_when_it_does() -> None:
             received += slow.recv(65536)
 
 
-def test_an_end_ends_everybody() -> None:
+def test_a_signal_ends_a_server_with_open_streams() -> None:
     """SIGTERM with open streams, from the command line."""
     arguments = ("serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0")
     with Started(*arguments, environment=PAGE_TOKEN) as program:
@@ -254,12 +254,12 @@ def test_an_end_ends_everybody() -> None:
 
 
 def test_a_page_that_cannot_be_gets_one_line() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        place = f"127.0.0.1:{taken.getsockname()[1]}"
-        done = run("serve", "tcp://127.0.0.1:0", "--page", place, environment=PAGE_TOKEN)
-    assert (done.code, done.out) == (1, "")
-    assert f"cannot show a page on {place}: Address already" in done.err
-    assert done.err.count("\n") == 1
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        place = f"127.0.0.1:{listener.getsockname()[1]}"
+        result = run("serve", "tcp://127.0.0.1:0", "--page", place, environment=PAGE_TOKEN)
+    assert (result.code, result.out) == (1, "")
+    assert f"cannot show a page on {place}: Address already" in result.err
+    assert result.err.count("\n") == 1
 
 
 OUTER_URLS = {
@@ -273,14 +273,14 @@ OUTER_URLS = {
 def test_changes_come_from_the_outer_url(url: str) -> None:
     origin = OUTER_URLS[url]
     with (
-        HeldPort() as held,
-        live_page(made_server(), port=held.number, url=url) as page,
-        live_page(made_server()) as other,
+        HeldPort() as port,
+        live_page(make_server(), port=port.number, url=url) as page,
+        live_page(make_server()) as other,
     ):
         assert page.url.startswith(url.lower().replace(":443", "").rstrip("/") + "/?token=")
         visitor, stranger = Visitor(page.url), Visitor(other.url)
         assert stranger.ask("POST", "/value", CHANGE, Origin=origin)[0] == 403
-        visitor.address = "127.0.0.1", held.number
+        visitor.address = "127.0.0.1", port.number
         visitor.headers["Cookie"] = f"libmodbus_page_{visitor.address[1]}={visitor.token}"
         outer = origin.partition("//")[2]
         for host in (outer, f"127.0.0.1:{visitor.address[1]}"):
@@ -293,5 +293,5 @@ def test_changes_come_from_the_outer_url(url: str) -> None:
     "url", ["", "plant.example", "ftp://h", "https://", "http://u:p@h", "http://h?a", "http://h:x"]
 )
 def test_a_wrong_outer_url_is_refused(url: str) -> None:
-    with pytest.raises(ValueError, match="as https://HOST"), live_page(made_server(), url=url):
+    with pytest.raises(ValueError, match="as https://HOST"), live_page(make_server(), url=url):
         pass

@@ -15,7 +15,7 @@ import pytest
 from libmodbus_py.page import live_page
 from tests.support.programs import HeldPort, listens, program
 from tests.tools.page.test_page_attacks import CHANGE
-from tests.tools.page.watching import Visitor, made_server
+from tests.tools.page.watching import Visitor, make_server
 
 pytestmark = pytest.mark.slow
 
@@ -68,7 +68,7 @@ def test_the_page_works_through_a_proxy(name: str, tmp_path: Path) -> None:
     with (
         HeldPort() as outer,
         HeldPort() as inner,
-        live_page(made_server(), port=inner.number, url=OUTER) as page,
+        live_page(make_server(), port=inner.number, url=OUTER) as page,
         proxy(name, tmp_path, outer.number, inner.number),
     ):
         visitor = Visitor(page.url)

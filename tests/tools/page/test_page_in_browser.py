@@ -21,15 +21,15 @@ from tests.support.peers import until
 from tests.tools.page.browsers import IN_BROWSER, person_at
 from tests.tools.page.tables import HOSTILE, Plant
 from tests.tools.page.test_changes import PLANT
-from tests.tools.page.watching import Visitor, is_served, made_server
+from tests.tools.page.watching import Visitor, is_served, make_server
 
 pytestmark = IN_BROWSER
 
 
-def test_a_person_uses_the_page() -> None:
+def test_a_browser_shows_and_changes_values() -> None:
     from selenium.webdriver.common.keys import Keys
 
-    server = made_server(faults={1: [Fault("exception", code=6, function=4)]})
+    server = make_server(faults={1: [Fault("exception", code=6, function=4)]})
     with (
         live_page(server) as page,
         server.background("tcp://127.0.0.1:0") as running,
@@ -114,8 +114,8 @@ def test_a_person_uses_the_page() -> None:
         assert person.run("return document.documentElement.scrollWidth") <= 360
 
         # Nothing was blocked, and nothing was missing but the value that was refused.
-        told = person.complaints()
-        assert [each for each in told if "/value - " not in each] == []
+        complaints = person.complaints()
+        assert [each for each in complaints if "/value - " not in each] == []
 
 
 def test_large_tables_and_a_server_that_goes() -> None:
@@ -269,12 +269,12 @@ class HeldSource(TableSource):
         self.searched: list[str] = []
         self.go = threading.Event()
 
-    def view(self, given: MappingABC[str, Any]) -> Any:
-        if wanted := given["find"]:
-            self.searched.append(wanted)
+    def view(self, query: MappingABC[str, Any]) -> Any:
+        if words := query["find"]:
+            self.searched.append(words)
             if len(self.searched) == 1:
                 assert self.go.wait(60)
-        return super().view(given)
+        return super().view(query)
 
 
 def test_searches_do_not_overtake_each_other() -> None:
@@ -296,7 +296,7 @@ def test_searches_do_not_overtake_each_other() -> None:
 def test_hours_of_the_journal_and_values_that_come_when_they_change() -> None:
     now = time.time()
     hours = [(now - 20_000 + at * 100, float(at)) for at in range(150)]
-    plant = plant_of(3, every=None, older=lambda *given: hours)
+    plant = plant_of(3, every=None, older=lambda *names: hours)
     moved(plant)
     with table_page(TableSource(plant)) as page, person_at(page.url) as person:
         person.click("#rows tr[data-at='3'] button")
@@ -329,9 +329,9 @@ return [document.documentElement.scrollWidth > innerWidth, box.scrollWidth > box
 @pytest.mark.parametrize("width", [360, 1280])
 def test_names_and_reasons_are_text_and_shown_as_a_whole(width: int) -> None:
     plant = Plant(title="<script>document.title='hit'</script>")
-    given = [*HOSTILE, "n" * 1_000_000]
-    plant.describe(*((name, name) for name in given), ("meter", "p1"))
-    for name in given:
+    names = [*HOSTILE, "n" * 1_000_000]
+    plant.describe(*((name, name) for name in names), ("meter", "p1"))
+    for name in names:
         plant.put(name, name, name, quality="bad", reason=name)
     plant.put("meter", "p1", None, reason="GatewayTargetFailedToRespond")
     meter = plant.meters["meter"]
@@ -376,8 +376,8 @@ def test_a_page_that_lost_its_server_is_grey_and_returns_by_itself() -> None:
             assert "lost" not in person.attribute("body", "class")
         person.sees("#state", "no connection")
         # Another program at this address, with the same bookmark, has another page.
-        with live_page(made_server(), "127.0.0.1", port, TOKEN):
+        with live_page(make_server(), "127.0.0.1", port, TOKEN):
             person.sees("#units", "tank")
         person.sees("#state", "no connection")
-        with live_page(made_server(), "127.0.0.1", port):
+        with live_page(make_server(), "127.0.0.1", port):
             person.sees("#state", "new token")

@@ -10,10 +10,10 @@ from libmodbus_py.tools.page.samples import Counts, RowHistory, Samples, with_ga
 from tests.support.cases import each_case
 
 
-def sampled(given: Iterable[tuple[float, Any]], *options: Any) -> Samples:
+def sampled(points: Iterable[tuple[float, Any]], *options: Any) -> Samples:
     """Return samples of values at times."""
     samples = Samples(*options)
-    for time, value in given:
+    for time, value in points:
         samples.add(time, value)
     return samples
 
@@ -57,11 +57,11 @@ def test_samples_that_are_too_close_replace_each_other_but_a_gap_hides_no_number
     ],
 )
 def test_a_time_without_samples_is_a_gap(every: float | None, values: list[float | None]) -> None:
-    given = [(1.0, 1.0), (2.0, 2.0), (5.5, 3.0)]
-    samples = sampled(given, every)
+    points = [(1.0, 1.0), (2.0, 2.0), (5.5, 3.0)]
+    samples = sampled(points, every)
     assert [each for _, each in samples.pairs()] == values
     assert samples.spark().count(-1) == values.count(None)
-    assert [each for _, each in with_gaps([*given], every)] == values
+    assert [each for _, each in with_gaps([*points], every)] == values
 
 
 def test_samples_are_in_the_order_of_time_and_a_gap_is_one_of_them() -> None:

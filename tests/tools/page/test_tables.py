@@ -43,10 +43,10 @@ def test_rows_are_found_by_words() -> None:
     plant = Plant()
     plant.describe(*((f"meter {at}", name) for at in range(99) for name in ("Load", "I")))
     with visited(plant) as visitor:
-        for find, found in (("", 297), ("meter LOAD", 99), ("meter 44", 3)):
+        for find, rows in (("", 297), ("meter LOAD", 99), ("meter 44", 3)):
             visitor.look_at(0, 10_000_000, find=find)
-            visitor.receive(lambda found=found: count(visitor) == found)
-            assert len(visitor.rows("rows")) == min(found, MOST_VISIBLE)
+            visitor.receive(lambda rows=rows: count(visitor) == rows)
+            assert len(visitor.rows("rows")) == min(rows, MOST_VISIBLE)
         assert names(visitor) == ["meter 44", "Load", "I"]
 
 
@@ -89,8 +89,8 @@ def test_devices_that_are_replaced_vanish_and_their_history_stays_with_those_tha
         visitor.receive(lambda: names(visitor) == ["b", "x", "c", "x"])
         assert visitor.seen["rows"]["1"]["value"] == {"text": "2", "units": "V"}
         assert visitor.history(row=["b", "x"], seconds=60)["values"] == [2]
-        gone = visitor.history(row=["a", "x"], seconds=60)
-        assert gone == "this value no longer exists"
+        history = visitor.history(row=["a", "x"], seconds=60)
+        assert history == "this value no longer exists"
 
 
 @each_case(
@@ -98,11 +98,11 @@ def test_devices_that_are_replaced_vanish_and_their_history_stays_with_those_tha
     [(10.0, [1.0, 2.0, None, 3.0, None]), (300.0, [1.0, 2.0, 3.0, None]), (None, [1.0, 2.0, 3.0])],
 )
 def test_history_is_that_of_memory_and_before_it_that_of_the_journal_with_gaps(every, before):
-    asked: list[Any] = []
+    queries: list[Any] = []
     now = time.time()
 
     def older(device: str, name: str, since: float, until: float, most: int) -> Any:
-        asked.append((device, name, round(until - since), most > 0))
+        queries.append((device, name, round(until - since), most > 0))
         return [(now - 3000, 1.0), (now - 2995, 2.0), (now - 2500, 3.0), (now - 5, 99.0)]
 
     plant = Plant(older=older)
@@ -110,11 +110,11 @@ def test_history_is_that_of_memory_and_before_it_that_of_the_journal_with_gaps(e
     for at in range(40):
         plant.put("a", "x", 100 + at, now - 40 + at)
     with visited(plant) as visitor:
-        found = visitor.history(row=["a", "x"], seconds=3600)
-    assert asked == [("a", "x", 3560, True)]
-    assert found["values"] == [*before, *range(100, 140)]
-    assert len(found["times"]) == len(found["values"])
-    assert found["units"] == "V"
+        history = visitor.history(row=["a", "x"], seconds=3600)
+    assert queries == [("a", "x", 3560, True)]
+    assert history["values"] == [*before, *range(100, 140)]
+    assert len(history["times"]) == len(history["values"])
+    assert history["units"] == "V"
 
 
 def test_a_chart_has_numbers_up_to_now_and_gaps() -> None:
@@ -127,8 +127,8 @@ def test_a_chart_has_numbers_up_to_now_and_gaps() -> None:
     for at, value in enumerate([-math.inf, math.nan, 10**400, "<script>", 2.0]):
         plant.put("a", "x", value, now - 4 + at)
     with visited(plant) as visitor:
-        found = visitor.history(row=["a", "x"], seconds=60)
-    assert found["values"] == [1.0, *[None] * 8, 2.0]
+        history = visitor.history(row=["a", "x"], seconds=60)
+    assert history["values"] == [1.0, *[None] * 8, 2.0]
 
 
 def test_wrong_requests_are_refused(refused: Refused) -> None:
@@ -137,18 +137,18 @@ def test_wrong_requests_are_refused(refused: Refused) -> None:
     with visited(plant) as visitor:
         right = {"find": "", "problems": False, "first": 0, "stop": 9, "row": ["a", "x"]}
         right |= {"stream": visitor.seen["page"]["stream"], "column": "last values", "seconds": 5}
-        refused("refused_tables.txt", lambda given: visitor.refused((given[0], right | given[1])))
+        refused("refused_tables.txt", lambda row: visitor.refused((row[0], right | row[1])))
 
 
 def test_long_names_are_cut_and_hostile_ones_arrive_as_text() -> None:
     plant = Plant(title="<b>" + "t" * 1_000_000)
-    given = [*HOSTILE, "n" * 1_000_000]
-    plant.describe(*((name, name) for name in given))
-    for name in given:
+    texts = [*HOSTILE, "n" * 1_000_000]
+    plant.describe(*((name, name) for name in texts))
+    for name in texts:
         plant.put(name, name, name, reason=name)
     with visited(plant) as visitor:
         visitor.look_at()
-        visitor.receive(lambda: count(visitor) == 2 * len(given))
+        visitor.receive(lambda: count(visitor) == 2 * len(texts))
         assert names(visitor)[0] == HOSTILE[0]
         assert len(str(visitor.seen)) < 20_000
         assert visitor.history(row=["__proto__"] * 2, seconds=5)["values"] == [None]
@@ -174,7 +174,7 @@ def test_long_names_are_cut_and_hostile_ones_arrive_as_text() -> None:
         (list(range(99)), ", ".join(map(str, range(20))) + ", ..."),
     ],
 )
-def test_values_as_text(value: Any, text: str) -> None:
+def test_values_are_shown_as_text(value: Any, text: str) -> None:
     assert value_text(value) == text
 
 

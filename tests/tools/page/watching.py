@@ -33,7 +33,7 @@ class NamedDevice(Device):
     points = {each.name: each for each in POINTS}  # noqa: RUF012
 
 
-def made_server(**options: Any) -> Server:
+def make_server(**options: Any) -> Server:
     mapping = Mapping(
         coils=16,
         discrete_inputs=4,
@@ -78,8 +78,8 @@ class Visitor:
 
     def cells(self, table: str) -> dict[int, int]:
         """Return the cells that exist of a table of a unit, such as "1/coils", by address."""
-        found = self.seen.get(table, {}).items()
-        cells = ((int(first) + at, cell) for first, row in found for at, cell in enumerate(row))
+        rows = self.seen.get(table, {}).items()
+        cells = ((int(first) + at, cell) for first, row in rows for at, cell in enumerate(row))
         return {at: cell for at, cell in cells if cell is not None}
 
     def points(self, table: str) -> list[str]:
@@ -90,15 +90,15 @@ class Visitor:
         self, method: str, path: str, body: Any = None, **headers: str | None
     ) -> tuple[int, dict[str, str], bytes]:
         """Return status, headers and body; a header that is None is left out."""
-        given = {**self.headers, **{name.replace("_", "-"): each for name, each in headers.items()}}
+        fields = self.headers | {name.replace("_", "-"): each for name, each in headers.items()}
         connection = http.client.HTTPConnection(*self.address, timeout=20)
         with contextlib.closing(connection):
             data = body if body is None or isinstance(body, bytes) else json.dumps(body).encode()
-            connection.putrequest(method, path, skip_host="Host" in given)
-            for name, each in given.items():
+            connection.putrequest(method, path, skip_host="Host" in fields)
+            for name, each in fields.items():
                 if each is not None:
                     connection.putheader(name, each)
-            if data is not None and "Content-Length" not in given:
+            if data is not None and "Content-Length" not in fields:
                 connection.putheader("Content-Length", str(len(data)))
             connection.endheaders(data)
             response = connection.getresponse()
@@ -107,13 +107,13 @@ class Visitor:
     def post(self, path: str, **body: Any) -> Any:
         """Return what is answered, or the text of the refusal."""
         status, _, data = self.ask("POST", path, body)
-        found = json.loads(data)
-        return found if status == 200 else found["error"]
+        answer = json.loads(data)
+        return answer if status == 200 else answer["error"]
 
-    def refused(self, given: tuple[str, dict[str, Any]]) -> None:
+    def refused(self, request: tuple[str, dict[str, Any]]) -> None:
         """Post to a path; raise a ValueError with the text of the refusal."""
-        if isinstance(found := self.post(given[0], **given[1]), str):
-            raise ValueError(found)
+        if isinstance(answer := self.post(request[0], **request[1]), str):
+            raise ValueError(answer)
 
     def history(self, row: Any, seconds: Any, column: Any = "last values") -> Any:
         """Return the samples of a chart, or the text of the refusal."""
@@ -136,13 +136,13 @@ class Visitor:
     def receive(self, enough: Callable[[], Any], seconds: float = 15) -> Any:
         """Take messages until this gives something, and give that."""
         end = time.monotonic() + seconds
-        while not (found := enough()):
+        while not (result := enough()):
             assert time.monotonic() < end, f"waited in vain; seen: {self.seen}"
             line = self._response.readline()
             assert line, "the stream has ended"
             if line.startswith(b"data: "):
                 self._take(json.loads(line[6:]))
-        return found
+        return result
 
     def _take(self, message: dict[str, Any]) -> None:
         self.messages.append(message)
@@ -158,8 +158,8 @@ class Visitor:
                     rows[key] = row
 
     def _view(self, **view: Any) -> None:
-        found = self.post("/view", stream=self.seen["page"]["stream"], **view)
-        assert found == {}, found
+        answer = self.post("/view", stream=self.seen["page"]["stream"], **view)
+        assert answer == {}, answer
 
     def look(self, unit: int | None, what: str, first: int, stop: int) -> None:
         """Look at points or cells of a unit."""
@@ -173,8 +173,8 @@ class Visitor:
 
 
 @contextlib.contextmanager
-def shown(**options: Any) -> Iterator[tuple[Server, str, Visitor]]:
+def page_of(**options: Any) -> Iterator[tuple[Server, str, Visitor]]:
     """A server that serves, its Modbus URL, and who visits its page."""
-    server = made_server(**options)
+    server = make_server(**options)
     with live_page(server) as page, server.background("tcp://127.0.0.1:0") as running:
         yield server, running.urls[0], Visitor(page.url)

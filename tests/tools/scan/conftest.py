@@ -11,5 +11,5 @@ from tests.tools.scan.simulated_bus import simulated
 @pytest.fixture
 def network() -> Iterator[Network]:
     """A network in memory for all clients that a test makes."""
-    with simulated() as made:
-        yield made
+    with simulated() as hosts:
+        yield hosts

@@ -119,13 +119,13 @@ def served(network: Network, url: str, *answers: Callable[[bytes], list[Any] | N
     Serve answers, as `FakeServer` does; None among the pieces of one closes the connection.
     `answers`: one for each request, in order; the last one goes on.
     """
-    left = list(answers)
+    replies = list(answers)
 
     def answer(request: bytes, write: Write) -> None:
-        given = left[0](request)
-        if len(left) > 1:
-            del left[0]
-        for piece in given or []:
+        pieces = replies[0](request)
+        if len(replies) > 1:
+            del replies[0]
+        for piece in pieces or []:
             write(piece)
 
     return Scripted(network, url, answer)

@@ -15,7 +15,7 @@ from tests.support import certificates
 from tests.support.certificates import Pki
 from tests.support.golden import Refused
 from tests.support.interop import UNIT, program
-from tests.support.peers import FakeServer, dead, mbap, refusing, url_of
+from tests.support.peers import FakeServer, mbap, mute_port, refusing, url_of
 from tests.support.pymodbus_peers import pymodbus_serving
 from tests.tools.scan.simulated_bus import Member, SimulatedBus, answering, line, of, served
 
@@ -31,8 +31,8 @@ def meter(**tables: Any) -> Device:
     return Device(Mapping(**tables), identification=OBJECTS)
 
 
-def at(found: Found) -> tuple[int, int | None, str | None, int | None]:
-    return found.unit, found.baudrate, found.parity, found.stop_bits
+def at(unit: Found) -> tuple[int, int | None, str | None, int | None]:
+    return unit.unit, unit.baudrate, unit.parity, unit.stop_bits
 
 
 def all_of(scanned: Scan) -> list[Found]:
@@ -59,14 +59,14 @@ def test_three_units_are_found_at_their_two_rates(network: Network, scheme: str)
     scanned = scan(bus.url, baudrates=[9600, 19200], parities="EN", units=[5, 6, 17, 42])
     assert bus.asked == []
     assert scanned.total == 16
-    found = all_of(scanned)
-    assert [at(each) for each in found] == [
+    units = all_of(scanned)
+    assert [at(each) for each in units] == [
         (5, 9600, "N", 2),
         (42, 9600, "N", 2),
         (17, 19200, "E", 1),
     ]
-    assert [each.exception for each in found] == [None, None, 2]
-    for each in found:
+    assert [each.exception for each in units] == [None, None, 2]
+    for each in units:
         assert each.data_bits == (7 if scheme == "ascii" else 8)
         assert each.server_id is not None
         assert each.server_id.running
@@ -74,9 +74,9 @@ def test_three_units_are_found_at_their_two_rates(network: Network, scheme: str)
         assert each.identification.names == OBJECTS
         assert (each.is_late, each.is_any) == (False, False)
         assert each.took < 0.2  # the first answer on a line is held for longer
-    assert only_read([asked[2] for asked in bus.asked])
+    assert only_read([request[2] for request in bus.asked])
     assert scanned.requests == len(bus.asked)
-    with Client(found[0].url) as client:  # the URL is one of a client
+    with Client(units[0].url) as client:  # the URL is one of a client
         assert client.read_holding_registers(0, 10) == [0] * 10
 
 
@@ -84,12 +84,12 @@ def test_a_late_answer_is_its_own_units_and_not_the_next_ones(network: Network) 
     members = {7: Member(of(meter(holding_registers=1)), 9600, 2, after=0.3)}
     bus = SimulatedBus(network, members)
     scanned = scan(bus.url, baudrates=[9600], parities=["N"], units=[7, 8, 9, 10], timeout=0.2)
-    (found,) = all_of(scanned)
-    assert (found.unit, found.is_late, found.exception) == (7, True, None)
+    (unit,) = all_of(scanned)
+    assert (unit.unit, unit.is_late, unit.exception) == (7, True, None)
     # As each unit found is, though its answers come too late, too.
-    assert {asked[2][0] for asked in bus.asked if asked[1] == 7} == {3, 17, 43}
+    assert {request[2][0] for request in bus.asked if request[1] == 7} == {3, 17, 43}
     # And the frames of eight and seven characters, of eleven bits each.
-    assert found.took == pytest.approx(0.3 + 15 * 11 / 9600, abs=0.001)
+    assert unit.took == pytest.approx(0.3 + 15 * 11 / 9600, abs=0.001)
     assert any("came late" in note for note in scanned.notes)
 
 
@@ -123,8 +123,8 @@ def test_noise_and_an_echo_do_not_make_a_unit(network: Network, answers, note) -
     scanned = scan(url, units=range(1, 7), timeout=QUICK)
     assert all_of(scanned) == []
     assert len(unit.requests) == 6
-    (told,) = scanned.notes
-    assert note in told
+    (message,) = scanned.notes
+    assert note in message
 
 
 def test_a_line_that_never_falls_silent_is_asked_in_time(network: Network) -> None:
@@ -133,7 +133,7 @@ def test_a_line_that_never_falls_silent_is_asked_in_time(network: Network) -> No
     scanned = scan(bus.url, baudrates=[9600], parities=["N"], timeout=0.1)
     started = network.events.now
     assert all_of(scanned) == []
-    assert len({asked[1] for asked in bus.asked}) == 247
+    assert len({request[1] for request in bus.asked}) == 247
     assert network.events.now - started < 2 * scanned.longest
     assert "or others send" in scanned.notes[0]
 
@@ -174,12 +174,12 @@ SCHEMES = ["tcp", "udp", "rtu+tcp", "ascii+tcp"]
 def test_units_are_found_over_networks(network: Network, scheme: str) -> None:
     units = {1: meter(holding_registers=1), 17: meter()}
     peer = answering(network, f"{scheme}://10.0.0.1", units)
-    found = all_of(scan(peer.url, units=[1, 2, 17, 18]))
-    assert [(each.unit, each.exception, each.baudrate) for each in found] == [
+    devices = all_of(scan(peer.url, units=[1, 2, 17, 18]))
+    assert [(each.unit, each.exception, each.baudrate) for each in devices] == [
         (1, None, None),
         (17, 2, None),
     ]
-    assert all(each.identification is not None for each in found)
+    assert all(each.identification is not None for each in devices)
 
 
 @pytest.mark.parametrize(
@@ -187,13 +187,13 @@ def test_units_are_found_over_networks(network: Network, scheme: str) -> None:
 )
 def test_a_server_that_ignores_the_unit_is_one_device(scheme: str, tables: Any) -> None:
     with FakeServer(lambda request: [mbap(request, b"\x03\x02\0\1", unit=255)]) as server:
-        (found,) = all_of(scan(server.url, timeout=PATIENT))  # 255 in all of its answers
-        assert found.is_any
+        (device,) = all_of(scan(server.url, timeout=PATIENT))  # 255 in all of its answers
+        assert device.is_any
     with Server(meter(**tables)).background(f"{scheme}://127.0.0.1:0") as running:
         scanned = scan(running.urls[0], timeout=PATIENT)
-        (found,) = all_of(scanned)
-        assert found.is_any
-        assert found.identification is not None
+        (device,) = all_of(scanned)
+        assert device.is_any
+        assert device.identification is not None
     assert ["ignores the unit" in note for note in scanned.notes] == [True]
 
 
@@ -234,7 +234,7 @@ def test_silence_does_not_cost_the_connection(network: Network, scheme: str) -> 
 
 @pytest.mark.parametrize("begin", [scan, search])
 def test_an_unreachable_host_is_an_error_soon(begin: Callable[..., Any]) -> None:
-    with dead() as port, pytest.raises(ModbusConnectionError):
+    with mute_port() as port, pytest.raises(ModbusConnectionError):
         next(begin(f"tcp://127.0.0.1:{port}", timeout=0.1))
     with refusing() as bound:
         for url in (url_of(bound), url_of(bound).replace("tcp", "udp")):
@@ -247,19 +247,19 @@ def test_an_unreachable_host_is_an_error_soon(begin: Callable[..., Any]) -> None
 def test_libmodbus_is_one_device_over_tcp(compiled: Callable[[str], Path]) -> None:
     """Its server does not look at the unit."""
     with program(compiled("server"), "tcp", 0) as process:
-        (found,) = all_of(scan(f"tcp://127.0.0.1:{_port(process)}", timeout=PATIENT))
-        assert (found.unit, found.is_any, found.exception) == (1, True, 2)
-        assert found.server_id is not None
-        assert found.server_id.identifier == b"\xb4"
-        assert found.identification is None
+        (device,) = all_of(scan(f"tcp://127.0.0.1:{_port(process)}", timeout=PATIENT))
+        assert (device.unit, device.is_any, device.exception) == (1, True, 2)
+        assert device.server_id is not None
+        assert device.server_id.identifier == b"\xb4"
+        assert device.identification is None
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu"])
 def test_pymodbus_is_found(scheme: str) -> None:
     options: Any = {} if scheme == "tcp" else {"parities": "E"}
     with pymodbus_serving(scheme) as url:
-        found = all_of(scan(url, units=[UNIT - 1, UNIT], timeout=0.5, **options))
-    assert [(each.unit, each.is_any) for each in found] == [(UNIT, False)]
+        units = all_of(scan(url, units=[UNIT - 1, UNIT], timeout=0.5, **options))
+    assert [(each.unit, each.is_any) for each in units] == [(UNIT, False)]
 
 
 def _port(process: subprocess.Popen[str]) -> int:
@@ -272,10 +272,10 @@ def _port(process: subprocess.Popen[str]) -> int:
 def test_a_scan_can_be_left_at_any_time() -> None:
     with line({each: meter() for each in (1, 2, 3)}) as wire:
         url = f"rtu://{wire.client}"
-        for found in scan(url, baudrates=[9600], parities="N", timeout=PATIENT):
-            assert found.unit == 1
+        for unit in scan(url, baudrates=[9600], parities="N", timeout=PATIENT):
+            assert unit.unit == 1
             break
-        del found
+        del unit
     with line({1: meter()}) as wire:
         scanned = scan(f"rtu://{wire.client}", baudrates=[9600], parities="N", timeout=PATIENT)
         next(scanned)
@@ -308,8 +308,8 @@ def test_an_exception_of_the_callback_ends_the_scan_and_closes_it() -> None:
 
 
 def test_wrong_arguments_are_refused_before_anything_is_sent(refused: Refused) -> None:
-    refused("refused.txt", lambda given: scan(given[0], **given[1]))
-    refused("search_refused.txt", lambda given: search(given[0], **given[1]))
+    refused("refused.txt", lambda arguments: scan(arguments[0], **arguments[1]))
+    refused("search_refused.txt", lambda arguments: search(arguments[0], **arguments[1]))
 
 
 def test_units_are_found_over_tls(tmp_path: Path) -> None:
@@ -325,18 +325,18 @@ def test_units_are_found_over_tls(tmp_path: Path) -> None:
 
 
 def test_an_identification_without_an_end_is_cut_after_four_pages(network: Network) -> None:
-    asked: list[int] = []
+    pages: list[int] = []
 
     def answer(request: bytes) -> list[bytes]:
         if request[7] != 43:
             return [mbap(request, bytes([request[7] | 0x80, 11 if request[6] > 200 else 1]))]
-        asked.append(at := request[10])
+        pages.append(at := request[10])
         page = bytes([43, 14, request[9], 2, 0xFF, at + 1, 1, at, 1, 0x41])
         return [mbap(request, page)]
 
     server = served(network, "tcp://10.0.0.1", answer)
-    (found,) = all_of(scan(server.url, units=[5], timeout=PATIENT))
-    assert asked == [0, 1, 2, 3]
-    assert found.identification is not None
-    assert found.identification.objects == dict.fromkeys(range(4), b"A")
-    assert not found.identification.complete
+    (unit,) = all_of(scan(server.url, units=[5], timeout=PATIENT))
+    assert pages == [0, 1, 2, 3]
+    assert unit.identification is not None
+    assert unit.identification.objects == dict.fromkeys(range(4), b"A")
+    assert not unit.identification.complete

@@ -67,7 +67,7 @@ def test_all_ranges_are_found_with_few_requests() -> None:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp", "udp"])
-def test_ranges_with_holes_are_found(scheme: str) -> None:
+def test_ranges_with_gaps_are_found(scheme: str) -> None:
     """Our server answers 2 for any read that touches a hole."""
     mapping = Mapping(
         coils=[range(8), range(10, 26)],
@@ -106,28 +106,28 @@ def test_ranges_are_found_on_a_line() -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "tables", "requests", "ended"),
+    ("code", "tables", "requests", "reason"),
     [
         (1, 4, 4, "the device lacks the function"),
         (6, 1, 5, "the device stays busy"),
         (11, 1, 1, "the unit does not answer any more"),
     ],
 )
-def test_a_table_that_refuses_all_is_left_soon(network: Network, code, tables, requests, ended):
-    searched = search(answering(network, lambda *asked: code).url, timeout=PATIENT)
+def test_a_table_that_refuses_all_is_left_soon(network: Network, code, tables, requests, reason):
+    searched = search(answering(network, lambda *counts: code).url, timeout=PATIENT)
     assert [each.ranges for each in searched] == [[]] * tables
     assert searched.requests == requests
-    assert {each.ended for each in searched.extents} == {ended}
+    assert {each.ended for each in searched.extents} == {reason}
 
 
 def test_a_busy_device_is_asked_again(network: Network) -> None:
-    asked: dict[tuple[int, int, int], int] = {}
+    counts: dict[tuple[int, int, int], int] = {}
 
     def answer(function: int, *where: int) -> int:
         if function != 3:
             return 1
-        asked[function, *where] = asked.get((function, *where), 0) + 1
-        if asked[function, *where] < 2 and where[0] in (0, 1, 25):
+        counts[function, *where] = counts.get((function, *where), 0) + 1
+        if counts[function, *where] < 2 and where[0] in (0, 1, 25):
             return 6
         return 0 if sum(where) <= 30 else 2
 
@@ -147,13 +147,13 @@ def test_a_device_that_is_silent_where_nothing_is_is_searched_on(network: Networ
 
 
 def test_a_unit_that_answers_no_more_is_left_with_what_was_found(network: Network) -> None:
-    answered: list[int] = []
+    counts: list[int] = []
 
     def answer(function: int, address: int, count: int) -> int | None:
         if function != 3:
             return 1
-        answered.append(count)
-        return 0 if len(answered) < 5 else None
+        counts.append(count)
+        return 0 if len(counts) < 5 else None
 
     searched = search(answering(network, answer).url, timeout=0.03)
     assert ranges(searched)["holding_registers"] == [range(1 + 125 * 3)]
@@ -175,8 +175,8 @@ def test_libmodbus_own_server_is_searched(compiled: Callable[[str], Path]) -> No
     with program(compiled("server"), "tcp", 0) as process:
         assert process.stdout is not None
         port = process.stdout.readline().split()[1]
-        found = ranges(search(f"tcp://127.0.0.1:{port}", timeout=PATIENT))
-    assert found == {
+        tables = ranges(search(f"tcp://127.0.0.1:{port}", timeout=PATIENT))
+    assert tables == {
         "coils": [range(10, 2110)],
         "discrete_inputs": [range(20, 2120)],
         "holding_registers": [range(100, 400)],
@@ -185,7 +185,7 @@ def test_libmodbus_own_server_is_searched(compiled: Callable[[str], Path]) -> No
 
 
 def test_a_search_that_is_left_has_the_ranges_found_so_far(network: Network) -> None:
-    url = answering(network, lambda *asked: 0).url
+    url = answering(network, lambda *counts: 0).url
     searched = search(url, timeout=PATIENT)
     first = next(searched)
     assert isinstance(first, Extent)
@@ -193,8 +193,8 @@ def test_a_search_that_is_left_has_the_ranges_found_so_far(network: Network) -> 
     assert list(searched) == []
     assert searched.extents == [first]
 
-    def fail(told: Any) -> None:
-        if told.requests == 4:
+    def fail(progress: Any) -> None:
+        if progress.requests == 4:
             raise KeyboardInterrupt
 
     searched = search(url, timeout=PATIENT, on_progress=fail)

@@ -26,22 +26,22 @@ def probed(bus: SimulatedBus) -> list[tuple[int, int]]:
 
 def test_usual_settings_and_units_are_asked_first(network: Network) -> None:
     bus = SimulatedBus(network, {})
-    told: list[Progress] = []
-    with scan(bus.url, timeout=TIMEOUT, on_progress=told.append) as scanned:
+    steps: list[Progress] = []
+    with scan(bus.url, timeout=TIMEOUT, on_progress=steps.append) as scanned:
         assert list(scanned) == []
-    places = list(dict.fromkeys(each.setting for each in told))
+    places = list(dict.fromkeys(each.setting for each in steps))
     assert places[:4] == ["9600 8E1", "9600 8N2", "19200 8E1", "19200 8N2"]
     assert places[4:9] == ["9600 8O1", "19200 8O1", "38400 8E1", "38400 8N2", "38400 8O1"]
     rates = list(dict.fromkeys(place.partition(" ")[0] for place in places[6:]))
     assert rates == ["38400", "57600", "115200", "4800", "2400", "1200"]
     assert len(places) == SETTINGS == scanned.settings
     usual = SETTINGS * len(USUAL_UNITS)
-    assert [each.unit for each in told[:FIRST]] == [*FIRST_UNITS] * SETTINGS
-    assert {each.unit for each in told[:usual]} == {*USUAL_UNITS}
-    assert {each.unit for each in told[usual:]} == {*range(1, 248)} - {*USUAL_UNITS}
-    asked = {(each.setting, each.unit) for each in told}
-    assert len(asked) == len(told) == scanned.total == SETTINGS * 247  # each once
-    assert [each.done for each in told] == [*range(scanned.total)]
+    assert [each.unit for each in steps[:FIRST]] == [*FIRST_UNITS] * SETTINGS
+    assert {each.unit for each in steps[:usual]} == {*USUAL_UNITS}
+    assert {each.unit for each in steps[usual:]} == {*range(1, 248)} - {*USUAL_UNITS}
+    settings = {(each.setting, each.unit) for each in steps}
+    assert len(settings) == len(steps) == scanned.total == SETTINGS * 247  # each once
+    assert [each.done for each in steps] == [*range(scanned.total)]
     assert {setting: sorted(units) for setting, units in scanned.tried.items()} == {
         place: [*range(1, 248)] for place in places
     }
@@ -55,8 +55,8 @@ def test_a_device_as_it_left_the_factory_is_found_soon(network: Network, baudrat
     bus = SimulatedBus(network, {1: Member(of(device()), baudrate, stop_bits)})
     started = network.events.now
     with scan(bus.url) as scanned:
-        found = next(scanned)
-    assert (found.unit, found.baudrate, found.stop_bits) == (1, baudrate, stop_bits)
+        answer = next(scanned)
+    assert (answer.unit, answer.baudrate, answer.stop_bits) == (1, baudrate, stop_bits)
     assert network.events.now - started < most
     assert {unit for units in scanned.tried.values() for unit in units} <= {*FIRST_UNITS}
 
@@ -64,13 +64,13 @@ def test_a_device_as_it_left_the_factory_is_found_soon(network: Network, baudrat
 def test_the_settings_at_which_a_unit_answered_are_the_first_of_the_second_round(network: Network):
     members = {7: Member(of(device()), 19200, 1), 55: Member(of(device()), 19200, 1)}
     bus = SimulatedBus(network, members)
-    told: list[Progress] = []
-    scanned = scan(bus.url, timeout=TIMEOUT, on_progress=told.append)
-    found = next(scanned)
-    assert (found.unit, found.baudrate, found.parity) == (7, 19200, "E")
-    assert len(told) < FIRST + 3 * len(USUAL_UNITS)
+    steps: list[Progress] = []
+    scanned = scan(bus.url, timeout=TIMEOUT, on_progress=steps.append)
+    unit = next(scanned)
+    assert (unit.unit, unit.baudrate, unit.parity) == (7, 19200, "E")
+    assert len(steps) < FIRST + 3 * len(USUAL_UNITS)
     late = [(each.unit, each.baudrate, each.parity) for each in scanned]
-    second = told[SETTINGS * len(USUAL_UNITS)]
+    second = steps[SETTINGS * len(USUAL_UNITS)]
     assert (second.setting, second.unit) == ("19200 8E1", 11)
     # One stop bit: odd parity looks the same on this bus.
     assert late == [(7, 19200, "O"), (55, 19200, "E"), (55, 19200, "O")]
@@ -105,7 +105,7 @@ def test_one_device_that_ignores_the_unit_is_not_asked_again(network: Network) -
     every = {unit: Member(of(device()), 9600, 2) for unit in range(256)}
     bus = SimulatedBus(network, every)
     with scan(bus.url, baudrates=[9600, 19200], parities="N", timeout=TIMEOUT) as scanned:
-        found = list(scanned)
-    assert [(each.is_any, each.baudrate) for each in found] == [(True, 9600)]
+        units = list(scanned)
+    assert [(each.is_any, each.baudrate) for each in units] == [(True, 9600)]
     assert len([unit for baudrate, unit in probed(bus) if baudrate == 9600]) == 3
     assert sum("all units are answered alike" in note for note in scanned.notes) == 1

@@ -12,7 +12,7 @@ from tests.tools.simulator.simulated_units import Clock, answer, holding, inputs
 
 
 @each_case(
-    ("behaviour", "expected"),
+    ("behaviour", "values"),
     [
         ("counter = {}", [0, 0, 1, 1, 2, 2]),
         ("counter = { interval = 0.5 }", [0, 1, 2, 3, 4, 5]),
@@ -30,14 +30,14 @@ from tests.tools.simulator.simulated_units import Clock, answer, holding, inputs
         ("scale = 0.1\ncounter = { start = 6553.5, step = 0.1, interval = 0.5 }", [65535] * 6),
     ],
 )
-def test_values_at_each_half_second(behaviour: str, expected: list[int]) -> None:
+def test_values_move_each_half_second(behaviour: str, values: list[int]) -> None:
     clock = Clock()
     device = unit(f"[[unit.input_registers]]\naddress = 5\n{behaviour}", clock)
-    found = []
-    for _ in expected:
-        found += inputs(device, 5)
+    cells = []
+    for _ in values:
+        cells += inputs(device, 5)
         clock.now += 0.5
-    assert found == expected
+    assert cells == values
 
 
 def test_only_values_that_are_read_are_computed_and_all_of_these() -> None:
@@ -76,12 +76,12 @@ def test_a_coil_blinks_and_a_bit_is_a_number() -> None:
     """,
         clock,
     )
-    found = []
+    texts = []
     for _ in range(8):
-        found.append((*answer(device, pdu.ReadCoils(0, 2)), *inputs(device, 1)))
+        texts.append((*answer(device, pdu.ReadCoils(0, 2)), *inputs(device, 1)))
         clock.now += 1
-    expected = ["000", "101", "000", "111", "010", "111", "010", "111"]
-    assert found == [(a == "1", b == "1", 50 * (c == "1")) for a, b, c in expected]
+    pattern = ["000", "101", "000", "111", "010", "111", "010", "111"]
+    assert texts == [(a == "1", b == "1", 50 * (c == "1")) for a, b, c in pattern]
 
 
 LIMITS = {name: kind.limits for name, kind in values.TYPES.items() if kind.limits is not None}
@@ -136,7 +136,7 @@ COPIES = """
 
 
 @each_case(
-    ("source", "value", "target", "scale", "expected"),
+    ("source", "value", "target", "scale", "copy"),
     [
         ("uint16", 555, "uint16", 1, 555),
         ("float32", 21.56, "int16", 10, 216),
@@ -153,10 +153,10 @@ COPIES = """
         ("bits16", [1] + [0] * 15, "bits16", 1, [True] + [False] * 15),
     ],
 )
-def test_copies(source: str, value: object, target: str, scale: float, expected: object) -> None:
+def test_copies_scale(source: str, value: object, target: str, scale: float, copy: object) -> None:
     device = unit(COPIES.format(source=source, value=value, target=target, scale=scale))
     count = 2 * values.value_type(target).registers
-    assert values.value_type(target).decode_many(inputs(device, 7, count)) == [expected, expected]
+    assert values.value_type(target).decode_many(inputs(device, 7, count)) == [copy, copy]
 
 
 def test_a_copy_follows_what_clients_write() -> None:

@@ -45,7 +45,7 @@ def test_values_lie_where_the_file_says() -> None:
         ("type = 'int32'\nscale = 0.001\nvalue = -0.001", [0xFFFF, 0xFFFF]),
     ],
 )
-def test_types_and_scales(content: str, registers: list[int]) -> None:
+def test_values_of_a_file_are_scaled_and_typed(content: str, registers: list[int]) -> None:
     device = unit(f"[[unit.holding_registers]]\naddress = 3\n{content}")
     assert holding(device, 3, len(registers)) == registers
     with pytest.raises(IllegalDataAddress):

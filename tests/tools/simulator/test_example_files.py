@@ -93,8 +93,8 @@ def test_the_examples_have_every_key() -> None:
     # What registers say is in register maps; `test_every_key_of_points` tries those keys here.
     meaning = [each.name for each in fields(Point) if each.init]
     present.update(meaning[meaning.index("missing") :])
-    for expected in (UNIT, SERVER_ID, FIFO, *CONTENTS.values(), OF_FAULTS, OF_BEHAVIOURS):
-        assert set(expected) - {"columns", "list"} <= present  # which the lists of vendors need
+    for options in (UNIT, SERVER_ID, FIFO, *CONTENTS.values(), OF_FAULTS, OF_BEHAVIOURS):
+        assert set(options) - {"columns", "list"} <= present  # which the lists of vendors need
     for kind in KINDS:
         assert f'kind = "{kind}"' in text
 
@@ -105,8 +105,8 @@ def test_the_page_about_the_simulator_explains_every_key() -> None:
     text = text[text.index("## All keys") :] + faults[faults.index("## Fault\n") :]
     explained = set(re.findall(r"\w+", " ".join(re.findall(r"`[^`]+`|\"\w+\"", text))))
     keys = [FILE, UNIT, SERVER_ID, FIFO, DEFAULTS, *CONTENTS.values(), KINDS, PLACES]
-    for expected in (*keys, OF_FAULTS, OF_BEHAVIOURS):
-        assert set(expected) <= explained
+    for options in (*keys, OF_FAULTS, OF_BEHAVIOURS):
+        assert set(options) <= explained
 
 
 METER = """name,table,address,type,scale,unit,access

@@ -48,7 +48,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "hooks.py"
 
 
-def written(device: Device, value: int) -> int:
+def write(device: Device, value: int) -> int:
     """Write a register, and return the function code of the response."""
     return device.answer(pdu.WriteRegister(0, value).encode())[0]
 
@@ -65,7 +65,7 @@ def tables() -> Device:
 def test_the_functions_of_a_file_are_the_hooks_of_all_devices(path: Path) -> None:
     one, other = tables(), tables()
     HooksFile(str(path)).use({1: one, 2: other})
-    assert [written(one, 100), written(one, 101), written(other, 7)] == [6, 0x86, 6]
+    assert [write(one, 100), write(one, 101), write(other, 7)] == [6, 0x86, 6]
     assert [input_register(one, 0), input_register(other, 0)] == [100, 7]
     assert [input_register(one, 5), input_register(one, 5), input_register(other, 5)] == [1, 2, 1]
 
@@ -99,10 +99,10 @@ def test_a_broken_file_keeps_the_former_hooks(path: Path) -> None:
     for text in ("def after_write(access):\n    return (\n", "raise SystemExit(3)"):
         path.write_text(text)
         assert file.read_again(device).startswith(f"the former content is used: {path}, line ")
-        assert written(device, 101) == 0x86
+        assert write(device, 101) == 0x86
     path.write_text("def after_write(access):\n    pass\n")
     assert file.read_again(device) == f"{path}: read again, after_write"
-    assert written(device, 101) == 6
+    assert write(device, 101) == 6
 
 
 def test_the_first_failure_after_a_change_is_logged_again(path: Path, caplog) -> None:
@@ -111,7 +111,7 @@ def test_the_first_failure_after_a_change_is_logged_again(path: Path, caplog) ->
     file = HooksFile(str(path))
     file.use(device)
     for count in (1, 2):
-        assert [written(device, 1), written(device, 1)] == [0x86, 0x86]
+        assert [write(device, 1), write(device, 1)] == [0x86, 0x86]
         assert len(caplog.records) == count
         assert f'File "{path}", line 2, in after_write' in caplog.text
         file.read_again(device)

@@ -36,7 +36,7 @@ def the(simulation: Simulation) -> SimulatedDevice:
 
 
 @pytest.fixture
-def made(tmp_path: Path) -> Write:
+def make_device(tmp_path: Path) -> Write:
     """Returns the device of a file that stands beside a map."""
 
     def make(text: str, map: str = METER, **options: Any) -> SimulatedDevice:
@@ -138,8 +138,8 @@ def test_ranges_hold_what_their_values_mean() -> None:
         device["mode"] = 10
 
 
-def test_all_points_of_a_map_exist(made: Write) -> None:
-    device = made("")
+def test_all_points_of_a_map_exist(make_device: Write) -> None:
+    device = make_device("")
     assert inputs(device, 0) == [0]
     assert inputs(device, 2, 2) == [0, 0]
     assert holding(device, 10, 2) == [0, 0]
@@ -157,7 +157,7 @@ def test_all_points_of_a_map_exist(made: Write) -> None:
     assert list(device.points) == re.findall(r"^([\w ]+),", METER, re.MULTILINE)[1:]
 
 
-def test_values_and_moves_by_name(made: Write) -> None:
+def test_values_are_set_and_moved_by_name(make_device: Write) -> None:
     clock = Clock()
     text = """
         [unit.values]
@@ -172,7 +172,7 @@ def test_values_and_moves_by_name(made: Write) -> None:
         [[unit.holding_registers]]
         address = 99
     """
-    device = made(text, clock=clock)
+    device = make_device(text, clock=clock)
     assert inputs(device, 0) == [2300]
     clock.now += 1
     assert inputs(device, 0) == [2350]
@@ -198,8 +198,8 @@ moves = { power = { counter = { start = 5 } } }
 """  # noqa: E501
 
 
-def test_bounds_of_maps_and_ranges_also_of_points_that_share_cells(made: Write) -> None:
-    device = made(MOVING, BOUNDS)
+def test_bounds_of_maps_and_ranges_also_of_points_that_share_cells(make_device: Write) -> None:
+    device = make_device(MOVING, BOUNDS)
     for request, code in (
         (pdu.WriteRegister(0, 49), 3),
         (pdu.WriteRegister(0, 50), 0),
@@ -216,8 +216,8 @@ def test_bounds_of_maps_and_ranges_also_of_points_that_share_cells(made: Write) 
     assert (device["total"], device["total_low"]) == (70_000, 4464)
 
 
-def test_a_value_that_moves_cannot_be_written_by_another_name_either(made: Write) -> None:
-    device = made("moves = { total = { counter = {} } }", BOUNDS)
+def test_a_value_that_moves_cannot_be_written_by_another_name_either(make_device: Write) -> None:
+    device = make_device("moves = { total = { counter = {} } }", BOUNDS)
     for address in (1, 2):
         with pytest.raises(IllegalDataAddress):
             answer(device, pdu.WriteRegister(address, 1))
@@ -225,9 +225,9 @@ def test_a_value_that_moves_cannot_be_written_by_another_name_either(made: Write
         device["total_low"] = 1
 
 
-def test_moving_values_by_name(made: Write) -> None:
+def test_values_that_have_names_move(make_device: Write) -> None:
     clock = Clock()
-    device = made(MOVING, BOUNDS, clock=clock)
+    device = make_device(MOVING, BOUNDS, clock=clock)
     clock.now += 7
     assert (device["power"], device["ticks"]) == (12, 7)
     for name in ("power", "ticks"):
@@ -251,9 +251,9 @@ level,holding,5,,,,,,0
 """
 
 
-def test_a_page_shows_and_sets_what_points_mean(made: Write) -> None:
+def test_a_page_shows_and_sets_what_points_mean(make_device: Write) -> None:
     values = "v = 230.5, v_sf = -1, state = 'on', flag = true, mode = 5, flags = { alarm = true }"
-    device = made(f"values = {{ {values} }}", MEANINGS)
+    device = make_device(f"values = {{ {values} }}", MEANINGS)
     assert device.mapping.holding_registers[0:6] == [2305, 0xFFFF, 1, 0x58, 2, 0]
     points = device.points
     unit = ShownUnit(None, device)
@@ -271,10 +271,10 @@ def test_a_page_shows_and_sets_what_points_mean(made: Write) -> None:
 
 
 def test_examples_are_described_and_can_be_loaded() -> None:
-    found = example_files.descriptions()
+    files = example_files.descriptions()
     beside = {path.stem for path in Path(__file__).parents[3].glob("examples/*.toml")}
-    assert beside - {"fleet", "gateway"} == set(found)
-    for name, description in found.items():
+    assert beside - {"fleet", "gateway"} == set(files)
+    for name, description in files.items():
         assert 10 < len(description) < 100
         load(example_files.path_of(name))
     with pytest.raises(ValueError, match=r"no example 'plants'; there are .*meter, .*plant"):
@@ -305,6 +305,6 @@ def test_a_map_of_the_package_has_its_name_and_others_their_ending(form, tmp_pat
 
     assert names("sdm120") == set(load_map(example_files.map_file("sdm120")))
     assert names("sdm120.csv") == {"own"}
-    said = r"'sdm12' is neither the path of a register map.* the examples are abb_b23, .*sdm120"
-    with pytest.raises(ValueError, match=rf"{re.escape(str(tmp_path))}.*map: {said}"):
+    message = r"'sdm12' is neither the path of a register map.* the examples are abb_b23, .*sdm120"
+    with pytest.raises(ValueError, match=rf"{re.escape(str(tmp_path))}.*map: {message}"):
         names("sdm12")

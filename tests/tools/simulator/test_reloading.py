@@ -64,8 +64,8 @@ def write_all(device: SimulatedDevice, _: Clock) -> None:
 
 @each_case("text", [PLAIN, "# a comment\n" + PLAIN, PLAIN.replace("id = 2", "id = 9")])
 def test_a_unit_of_which_the_file_says_the_same_stays_the_same(text: str) -> None:
-    seen: list[Device] = []
-    assert after(PLAIN, lambda device, _: seen.append(device), text) is seen[0]
+    devices: list[Device] = []
+    assert after(PLAIN, lambda device, _: devices.append(device), text) is devices[0]
 
 
 def test_values_that_clients_wrote_stay_in_ranges_that_stay() -> None:
@@ -80,7 +80,7 @@ def test_values_that_clients_wrote_stay_in_ranges_that_stay() -> None:
 
 
 @each_case(
-    ("old", "new", "found"),
+    ("old", "new", "cells"),
     [
         ("values = [1, 2]", "values = [1, 3]", [1, 3, 0, 55]),
         ("values = [1, 2]", "values = [1, 2, 3]", [1, 2, 0, 55]),
@@ -89,24 +89,24 @@ def test_values_that_clients_wrote_stay_in_ranges_that_stay() -> None:
         ('"int32", value = 5', '"int32", scale = 0.5, value = 2.5', [11, 12, 0, 5]),
     ],
 )
-def test_changed_parts_of_the_file_take_effect(old: str, new: str, found: list[int]) -> None:
+def test_changed_parts_of_the_file_take_effect(old: str, new: str, cells: list[int]) -> None:
     registers = after(PLAIN, write_all, PLAIN.replace(old, new)).mapping.holding_registers
-    assert [*registers[0:2], *registers[10:12]] == found
+    assert [*registers[0:2], *registers[10:12]] == cells
 
 
 def test_moving_values_go_on_after_a_reload() -> None:
     text = PLAIN.replace("id = 1", "id = 1\nname = 'other'")
     moving = pdu.ReadInputRegisters(0, 2)
-    found: list[list[int]] = []
+    cells: list[list[int]] = []
 
     def look_ahead(device: SimulatedDevice, clock: Clock) -> None:
         clock.now += 10
-        found.append(moving.decode_response(device.answer(moving.encode())))
+        cells.append(moving.decode_response(device.answer(moving.encode())))
         clock.now -= 10
 
     device = after(PLAIN, look_ahead, text)
-    assert moving.decode_response(device.answer(moving.encode())) == found[0]
-    assert found[0][0] == 10
+    assert moving.decode_response(device.answer(moving.encode())) == cells[0]
+    assert cells[0][0] == 10
 
 
 @contextmanager
@@ -114,7 +114,7 @@ def reloading(
     path: Path, *, is_watching: bool = False
 ) -> Iterator[tuple[Callable[[], object], Client, list[str]]]:
     """Serve the file in a thread; yield what asks for another reading, a client, what is told."""
-    told: list[str] = []
+    messages: list[str] = []
     simulation = load(path)
     server = Server(simulation.devices, faults=simulation.faults)
     reloader = Reloader(
@@ -122,24 +122,24 @@ def reloading(
         str(path),
         simulation,
         is_watching=is_watching,
-        tell=lambda lines: told.append("; ".join(lines)),
+        tell=lambda lines: messages.append("; ".join(lines)),
     )
-    begun: queue.Queue[tuple[asyncio.AbstractEventLoop, asyncio.Event, str]] = queue.Queue()
+    starts: queue.Queue[tuple[asyncio.AbstractEventLoop, asyncio.Event, str]] = queue.Queue()
 
     async def run() -> None:
         stopped = asyncio.Event()
         async with server.serving("tcp://127.0.0.1:0") as running:
             reloader.start()
-            begun.put((asyncio.get_running_loop(), stopped, running.urls[0]))
+            starts.put((asyncio.get_running_loop(), stopped, running.urls[0]))
             await stopped.wait()
             reloader.close()
 
     thread = threading.Thread(target=lambda: asyncio.run(run()))
     thread.start()
-    loop, stopped, url = begun.get(timeout=20)
+    loop, stopped, url = starts.get(timeout=20)
     try:
         with Client(url, unit=1, timeout=5) as client:
-            yield partial(loop.call_soon_threadsafe, reloader.ask), client, told
+            yield partial(loop.call_soon_threadsafe, reloader.ask), client, messages
     finally:
         loop.call_soon_threadsafe(stopped.set)
         thread.join()
@@ -147,13 +147,13 @@ def reloading(
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    made = tmp_path / "device.toml"
-    made.write_text(PLAIN)
-    return made
+    file = tmp_path / "device.toml"
+    file.write_text(PLAIN)
+    return file
 
 
 def test_a_mistake_keeps_the_old_devices_and_is_told(path: Path) -> None:
-    with reloading(path) as (ask, client, told):
+    with reloading(path) as (ask, client, messages):
         client.write_register(0, 42)
         for text, message in (
             (
@@ -163,37 +163,37 @@ def test_a_mistake_keeps_the_old_devices_and_is_told(path: Path) -> None:
             (PLAIN[:40], "the former content is used: {}"),
             (None, "the former content is used: cannot read {}: No such file"),
         ):
-            told.clear()
+            messages.clear()
             if text is None:
                 path.unlink()
             else:
                 path.write_text(text)
             ask()
-            until(lambda: len(told) == 1)
-            assert told[0].startswith(message.format(path))
-            assert "\n" not in told[0]
+            until(lambda: len(messages) == 1)
+            assert messages[0].startswith(message.format(path))
+            assert "\n" not in messages[0]
             assert client.read_holding_registers(0, 2) == [42, 2]
         path.write_text(PLAIN.replace("values = [1, 2]", "values = [3, 4]"))
-        told.clear()
+        messages.clear()
         ask()
         until(lambda: client.read_holding_registers(0, 2) == [3, 4])
-        until(lambda: told == [f"{path}: read again, 2 units: 1 changed"])
+        until(lambda: messages == [f"{path}: read again, 2 units: 1 changed"])
         assert client.read_holding_registers(10, 2) == [0, 5]
 
 
 def test_a_reload_logs_what_has_changed(path: Path) -> None:
     fault = "[[unit.fault]]\nkind = 'no_answer'\nfunction = 1\n"
-    with reloading(path) as (ask, _, told):
+    with reloading(path) as (ask, _, messages):
         for text, changes in (
             (PLAIN, "2 units: no change"),
             (PLAIN.replace("id = 2", "id = 9"), "2 units: 1 new, 1 removed"),
             (PLAIN.replace("id = 2", "id = 9") + fault, "2 units: 1 changed; its faults have"),
         ):
-            told.clear()
+            messages.clear()
             path.write_text(text)
             ask()
-            until(lambda: len(told) == 1)
-            assert told[0].startswith(f"{path}: read again, {changes}")
+            until(lambda: len(messages) == 1)
+            assert messages[0].startswith(f"{path}: read again, {changes}")
 
 
 def test_changes_are_seen_also_of_maps_and_of_maps_that_come(path: Path, monkeypatch) -> None:
@@ -207,19 +207,19 @@ def test_changes_are_seen_also_of_maps_and_of_maps_that_come(path: Path, monkeyp
     look = Reloader._signatures
     monkeypatch.setattr(Reloader, "_signatures", signatures)
     monkeypatch.setattr("libmodbus_py.tools.simulator.reloading.LOOK_EVERY_S", 0.02)
-    with reloading(path, is_watching=True) as (_, client, told):
+    with reloading(path, is_watching=True) as (_, client, messages):
         path.write_text("[[unit]]\nid = 1\nmap = 'meter.csv'\nvalues = { a = 5 }")
-        until(lambda: len(told) == 1)
-        assert "meter.csv: No such file" in told[0]
+        until(lambda: len(messages) == 1)
+        assert "meter.csv: No such file" in messages[0]
         path.with_name("meter.csv").write_text("name,table,address\na,holding,7\n")
-        until(lambda: len(told) == 2)
+        until(lambda: len(messages) == 2)
         assert client.read_holding_registers(7, 1) == [5]
         path.with_name("meter.csv").write_text("name,table,address\na,holding,17\n")
-        until(lambda: len(told) == 3)
+        until(lambda: len(messages) == 3)
         assert client.read_holding_registers(17, 1) == [5]
         before = looks
         until(lambda: looks > before + 5)
-        assert len(told) == 3
+        assert len(messages) == 3
 
 
 def test_clients_lose_nothing_that_they_write_while_it_is_read_again(path: Path) -> None:
@@ -233,12 +233,12 @@ def test_clients_lose_nothing_that_they_write_while_it_is_read_again(path: Path)
             ask()
             time.sleep(0.002)
 
-    with reloading(path) as (ask, client, told):
+    with reloading(path) as (ask, client, messages):
         thread = threading.Thread(target=storm, args=(ask,))
         thread.start()
         try:
             number = 0
-            while sum("read again" in each for each in told) < 50:
+            while sum("read again" in each for each in messages) < 50:
                 number += 1
                 client.write_register(0, number % 65536)
                 assert client.read_holding_registers(0, 1) == [number % 65536]
@@ -248,30 +248,30 @@ def test_clients_lose_nothing_that_they_write_while_it_is_read_again(path: Path)
 
 
 def test_the_end_of_a_server_in_the_middle_of_a_reading_leaves_no_task(path: Path, monkeypatch):
-    begun, ended = threading.Event(), threading.Event()
+    start, stop = threading.Event(), threading.Event()
 
     def read(name: str) -> Simulation:
-        begun.set()
-        ended.wait(20)
+        start.set()
+        stop.wait(20)
         return load(name)
 
-    with reloading(path) as (ask, _, told):
+    with reloading(path) as (ask, _, messages):
         monkeypatch.setattr("libmodbus_py.tools.simulator.reloading.load", read)
         ask()
-        assert begun.wait(20)
-        end = threading.Timer(0.1, ended.set)
+        assert start.wait(20)
+        end = threading.Timer(0.1, stop.set)
         end.start()
     end.join()
-    assert told == []
+    assert messages == []
 
 
 def test_devices_that_were_replaced_are_not_kept(path: Path) -> None:
-    with reloading(path) as (ask, client, told):
+    with reloading(path) as (ask, client, messages):
         for number in range(25):
             path.write_text(PLAIN.replace("id = 1", f"id = 1\nname = 'number {number}'"))
-            told.clear()
+            messages.clear()
             ask()
-            until(lambda: bool(told))
+            until(lambda: bool(messages))
         assert client.read_holding_registers(0, 2) == [1, 2]
         gc.collect()
         until(lambda: sum(isinstance(each, SimulatedDevice) for each in gc.get_objects()) < 10)

@@ -12,7 +12,7 @@ from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP
 from libmodbus_py import AsyncClient, Client, RegisterMap, sunspec
 from libmodbus_py.sunspec import SunSpecError
 from libmodbus_py.tools.sunspec import BASES, ModelLayout, _discovery, definition_of, folder, walk
-from tests.support.sunspec import chain, file_device, serving, walked
+from tests.support.sunspec import chain, file_device, serving, walk_through
 
 DEVICES = {"inverter_123.json": 2, "device_1547.json": 14}
 """File of pysunspec2 -> the number of its models."""
@@ -22,15 +22,15 @@ Found = tuple[sunspec.SunSpecDevice, dict[str, Any]]
 
 def blocking(url: str) -> Found:
     with Client(url) as plc:
-        found = sunspec.discover(plc)
-        return found, plc.read_map(found.map)
+        device = sunspec.discover(plc)
+        return device, plc.read_map(device.map)
 
 
 def awaiting(url: str) -> Found:
     async def ask() -> Found:
         async with AsyncClient(url) as plc:
-            found = await sunspec.discover(plc)
-            return found, await plc.read_map(found.map)
+            device = await sunspec.discover(plc)
+            return device, await plc.read_map(device.map)
 
     return asyncio.run(ask())
 
@@ -75,17 +75,17 @@ def comparable(ours: Any, kind: str, theirs: Any, point: Any) -> tuple[Any, Any]
 @pytest.mark.parametrize("name", DEVICES)
 def test_the_models_and_values_are_those_of_pysunspec2(name, ask: Callable[[str], Found]) -> None:
     with serving(file_device(name)) as url:
-        found, values = ask(url)
+        device, values = ask(url)
         host, _, port = url.removeprefix("tcp://").rpartition(":")
         peer = SunSpecModbusClientDeviceTCP(1, host, int(port), timeout=5)
         peer.scan()
         peer.close()
-    assert [(each.id, each.address, each.length) for each in found] == [
+    assert [(each.id, each.address, each.length) for each in device] == [
         (each.model_id, each.model_addr, each.model_len) for each in peer.model_list
     ]
-    assert (len(found), found.notes) == (DEVICES[name], ())
+    assert (len(device), device.notes) == (DEVICES[name], ())
     compared = 0
-    for model, theirs in zip(found, peer.model_list, strict=True):
+    for model, theirs in zip(device, peer.model_list, strict=True):
         for point, (kind, value, their_point) in values_of(theirs):
             ours = values[f"{model.name}.{point}"]
             if (source := model.map[point].scale_from) and values[f"{model.name}.{source}"] is None:
@@ -100,8 +100,8 @@ def test_the_models_and_values_are_those_of_pysunspec2(name, ask: Callable[[str]
 @BOTH
 def test_an_unknown_model_is_kept_as_registers(ask: Callable[[str], Found]) -> None:
     with serving(chain([64999, 3, 7, 8, 9], [64999, 0])) as url:
-        found, values = ask(url)
-    assert [each.is_known for each in found] == [False, False]
+        device, values = ask(url)
+    assert [each.is_known for each in device] == [False, False]
     assert values["model_64999.registers"] == [7, 8, 9]
     assert values["model_64999_2.L"] == 0
 
@@ -115,13 +115,13 @@ def test_a_device_without_models_is_refused() -> None:
 
 def test_models_and_names_are_found_in_the_device() -> None:
     with serving(file_device("device_1547.json")) as url, Client(url) as plc:
-        found = sunspec.discover(plc, bases=[40000])
+        device = sunspec.discover(plc, bases=[40000])
         # The marker, 14 models, the end model; 705 to 712 say how often groups repeat.
         assert plc.statistics.requests == 1 + 14 + 1 + 8
-    assert found[701] is found["DERMeasureAC"]
-    assert isinstance(found.map, RegisterMap)
+    assert device[701] is device["DERMeasureAC"]
+    assert isinstance(device.map, RegisterMap)
     with pytest.raises(KeyError):
-        found[103]
+        device[103]
 
 
 @pytest.mark.parametrize(
@@ -148,11 +148,11 @@ COMMON = [1, 66, *([0] * 66)]
 
 
 def test_a_chain_is_followed_to_the_end_model() -> None:
-    done = walked(walk(BASES), chain(COMMON, [64999, 3, 7, 8, 9]))
-    found = done.result
-    assert [tuple(each) for each in found.headers] == [(1, 40002, 66), (64999, 40070, 3)]
-    assert (found.base, found.end, found.notes) == (40000, 40075, [])
-    assert done.requests == [(0, 2), (40000, 2), (40002, 2), (40070, 2), (40075, 2)]
+    walk_result = walk_through(walk(BASES), chain(COMMON, [64999, 3, 7, 8, 9]))
+    result = walk_result.result
+    assert [tuple(each) for each in result.headers] == [(1, 40002, 66), (64999, 40070, 3)]
+    assert (result.base, result.end, result.notes) == (40000, 40075, [])
+    assert walk_result.requests == [(0, 2), (40000, 2), (40002, 2), (40070, 2), (40075, 2)]
 
 
 LAST = 65536 - 40004
@@ -172,18 +172,18 @@ LAST = 65536 - 40004
 def test_a_chain_that_does_not_end_well_is_followed_as_far_as_it_goes(
     cells: list[int], models: int, requests: int, note: str
 ) -> None:
-    done = walked(walk(BASES), cells)
-    assert (len(done.result.headers), len(done.requests)) == (models, requests)
-    assert done.result.end is None
-    assert [each[: len(note)] for each in done.result.notes] == [note]
+    walk_result = walk_through(walk(BASES), cells)
+    assert (len(walk_result.result.headers), len(walk_result.requests)) == (models, requests)
+    assert walk_result.result.end is None
+    assert [each[: len(note)] for each in walk_result.result.notes] == [note]
 
 
 @pytest.mark.parametrize("base", BASES)
 def test_the_marker_is_sought_at_each_base(base: int) -> None:
-    done = walked(walk(BASES), chain(COMMON), base)
-    assert (done.result.base, done.result.notes) == (base, [])
+    walk_result = walk_through(walk(BASES), chain(COMMON), base)
+    assert (walk_result.result.base, walk_result.result.notes) == (base, [])
     with pytest.raises(SunSpecError, match=r"address 0: .* address 40000: .* address 50000: "):
-        walked(walk(BASES), [0] * 10, 0)
+        walk_through(walk(BASES), [0] * 10, 0)
 
 
 KNOWN = [int(path.stem.partition("_")[2]) for path in folder().glob("model_*.json")]
@@ -205,12 +205,12 @@ def test_model_160_has_as_many_modules_as_its_length_has() -> None:
     fixed = [0xFFFF, 0, 0xFFFF, 3, 0, 0, 2, 0xFFFF]
     module = [1, *([0] * 8), 500, 4000, 0x8000, 0, 77, 0, 0, 25, 4, 0, 2]
     cells = chain([160, 48, *fixed, *module, 2, *module[1:]])
-    found = walked(_discovery([40000]), cells)
-    points = found.result[160].map
-    assert found.result.notes == ()
+    device = walk_through(_discovery([40000]), cells)
+    points = device.result[160].map
+    assert device.result.notes == ()
     assert [points[f"module.{at}.ID"].address for at in (1, 2)] == [40012, 40032]
     assert "module.3.ID" not in points
-    assert len(found.requests) == 3
+    assert len(device.requests) == 3
 
 
 @pytest.mark.parametrize(
@@ -223,19 +223,19 @@ def test_model_160_has_as_many_modules_as_its_length_has() -> None:
     ],
 )
 def test_a_length_that_fits_no_whole_group_is_noted(length: int, note: str) -> None:
-    found = walked(_discovery([40000]), chain([160, length, *([0] * length)])).result
-    assert found.notes == (f"model 160 at address 40002 has the length {length}: {note}",)
-    assert found.end == 40004 + length
-    assert all(point.cells.stop <= 40004 + length for point in found[160].map.values())
+    device = walk_through(_discovery([40000]), chain([160, length, *([0] * length)])).result
+    assert device.notes == (f"model 160 at address 40002 has the length {length}: {note}",)
+    assert device.end == 40004 + length
+    assert all(point.cells.stop <= 40004 + length for point in device[160].map.values())
 
 
 @pytest.mark.parametrize("count", [65535, 60000])
 def test_a_count_that_does_not_fit_makes_no_storm(count: int) -> None:
     # 705: NPt and NCrv are the registers 5 and 6 of the model.
     model = [705, 20, 0, 0, 0, count, count, *([0] * 15)]
-    found = walked(_discovery([40000]), chain(model))
-    assert len(found.requests) == 4
-    assert len(found.result[705].map) < 30
+    device = walk_through(_discovery([40000]), chain(model))
+    assert len(device.requests) == 4
+    assert len(device.result[705].map) < 30
 
 
 def test_the_number_of_points_is_limited() -> None:
@@ -248,7 +248,7 @@ def test_the_number_of_points_is_limited() -> None:
 
 def test_values_are_scaled_named_and_missing() -> None:
     cells = chain([101, 50, 123, 0xFFFF, 0xFFFF, 0xFFFF, 0xFFFE, *([0x8000] * 45)])
-    points = walked(_discovery([40000]), cells).result[101].map
+    points = walk_through(_discovery([40000]), cells).result[101].map
     assert points["A"].scale_from == "A_SF"
     assert points["A"].decode([123], source=-2) == 1.23
     assert points["A"].decode([0xFFFF], source=-2) is None
@@ -264,7 +264,7 @@ def test_values_are_scaled_named_and_missing() -> None:
 
 
 def test_a_mac_address_is_text_when_read_and_written() -> None:
-    point = walked(_discovery([40000]), chain([11, 13, *[0] * 13])).result[11].map["MAC"]
+    point = walk_through(_discovery([40000]), chain([11, 13, *[0] * 13])).result[11].map["MAC"]
     registers = [0, 0x0DD7, 0x4CC6, 0x448E]
     assert point.decode(registers) == "0D:D7:4C:C6:44:8E"
     assert point.encode("0D:D7:4C:C6:44:8E") == registers

@@ -38,15 +38,15 @@ def test_an_empty_table_fails() -> None:
 
 
 def test_each_case_calls_the_test_with_every_combination() -> None:
-    seen = []
+    calls = []
 
     @each_case("text", ["a", "b"])
     @each_case(("low", "high"), [(1, 2), pytest.param(3, 4, id="more")])
     def test(fixture: str, text: str, low: int, high: int) -> None:
-        seen.append((fixture, text, low, high))
+        calls.append((fixture, text, low, high))
 
     test(fixture="f")  # type: ignore[call-arg]
-    assert seen == [("f", "a", 1, 2), ("f", "a", 3, 4), ("f", "b", 1, 2), ("f", "b", 3, 4)]
+    assert calls == [("f", "a", 1, 2), ("f", "a", 3, 4), ("f", "b", 1, 2), ("f", "b", 3, 4)]
     assert list(inspect.signature(test).parameters) == ["fixture"]
 
 

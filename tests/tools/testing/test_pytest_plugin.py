@@ -119,11 +119,11 @@ class TestReports:
         assert False
         """)
         lines = suite.runpytest().outlines
-        found = [line for line in lines if line.startswith("unit 1: ReadHoldingRegisters(")]
-        assert len(found) == 50
-        assert "address=10," in found[0]
+        requests = [line for line in lines if line.startswith("unit 1: ReadHoldingRegisters(")]
+        assert len(requests) == 50
+        assert "address=10," in requests[0]
         assert "... 10 earlier ones" in lines
-        assert all(len(line) < 170 and line.endswith("...") for line in found)
+        assert all(len(line) < 170 and line.endswith("...") for line in requests)
 
     def test_an_answer_that_came_late_says_so(self, suite: Suite, write: Write) -> None:
         write("""
@@ -136,7 +136,7 @@ class TestReports:
 
 
 class TestLeftBehind:
-    def test_nothing_by_many_tests(self, suite: Suite, write: Write) -> None:
+    def test_many_tests_leave_no_thread_and_no_descriptor(self, suite: Suite, write: Write) -> None:
         write("""
     import gc
     from libmodbus_py.tools.testing.recording import RecordingServer

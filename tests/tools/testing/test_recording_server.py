@@ -62,14 +62,14 @@ class TestServer:
 
 class TestMaker:
     @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp"])
-    def test_any_endpoint(self, make_modbus_server: ServerMaker, scheme: str) -> None:
+    def test_any_endpoint_is_recorded(self, make_modbus_server: ServerMaker, scheme: str) -> None:
         server = make_modbus_server(f"{scheme}://127.0.0.1:0")
         with Client(server.url, unit=3) as client:
             client.write_coils(8, [True, False, True])
-        (made,) = server.transactions
-        assert str(made) == "unit 3: WriteCoils(address=8, values=(True, False, True)) -> done"
+        (write,) = server.transactions
+        assert str(write) == "unit 3: WriteCoils(address=8, values=(True, False, True)) -> done"
 
-    def test_several_devices_and_endpoints(self, make_modbus_server: ServerMaker) -> None:
+    def test_a_server_has_several_devices(self, make_modbus_server: ServerMaker) -> None:
         devices = {1: Device(Mapping(8)), 2: Device(Mapping(16))}
         server = make_modbus_server(
             "tcp://127.0.0.1:0",

@@ -42,21 +42,21 @@ def readings(device: str = "a", time: float = 100.0, count: int = 2) -> list[Rea
 
 def polls(first: int, count: int, size: int = 2, time: float = 100.0) -> list[JournalPoll]:
     """Polls with ids from `first` on, one each second."""
-    told: list[JournalPoll] = []
+    batches: list[JournalPoll] = []
     for at in range(count):
         [poll] = numbered(readings("a", time + at, size), first + at * size)
-        told.append(poll)
-    return told
+        batches.append(poll)
+    return batches
 
 
-def asked(path: str, sql: str) -> list[tuple[Any, ...]]:
+def query(path: str, sql: str) -> list[tuple[Any, ...]]:
     """Return the rows that a question gives."""
     with closing(sqlite3.connect(path)) as database:
         return database.execute(sql).fetchall()
 
 
 def in_journal(path: str) -> list[int]:
-    return [number for (number,) in asked(path, "SELECT id FROM reading ORDER BY id")]
+    return [number for (number,) in query(path, "SELECT id FROM reading ORDER BY id")]
 
 
 def journal_of(fleet: Fleet) -> JournalStatistics:

@@ -24,10 +24,10 @@ from libmodbus_py.services.fleet.outputs.pump import MOST_OF_JOURNAL
 from tests.services.fleet.fleets import NETWORK, Peer, in_simulated_time, meter, until
 from tests.services.fleet.journal.journals import (
     Failing,
-    asked,
     in_journal,
     journal_of,
     polls,
+    query,
     run_for,
 )
 from tests.support.outputs import FakeOutput
@@ -58,18 +58,18 @@ def test_a_program_may_be_killed_at_each_step_of_a_transaction(path: str, tmp_pa
     file._used.set_trace_callback(None)
     file.close()
     assert len(copies) > 30
-    found = set()
+    states = set()
     for each in copies:
         again = JournalFile(str(each), 1e10, 10**9)
-        begun = again.open(["a"])
-        confirmed, _ = begun.places["a"]
+        contents = again.open(["a"])
+        confirmed, _ = contents.places["a"]
         again.write_polls([], {"a": confirmed}, 0)
         again.close()
         ids = in_journal(str(each))
         assert ids == [*range(1, len(ids) + 1)]
-        assert confirmed <= len(ids) < begun.first
-        found.add((len(ids), confirmed))
-    assert found == {(0, 0), (20, 0), (40, 20), (60, 40)}
+        assert confirmed <= len(ids) < contents.first
+        states.add((len(ids), confirmed))
+    assert states == {(0, 0), (20, 0), (40, 20), (60, 40)}
 
 
 def test_a_defect_while_a_journal_closes_lets_others_use_the_file(
@@ -126,7 +126,7 @@ async def test_a_reload_in_the_midst_of_transactions_loses_and_repeats_nothing(
                 await asyncio.sleep(0.03 * (at % 7))
     assert broker.ids == in_journal(path)
     # Three points of two devices with three sets of labels.
-    assert asked(path, "SELECT count(*) FROM point")[0][0] <= 18
+    assert query(path, "SELECT count(*) FROM point")[0][0] <= 18
 
 
 @pytest.mark.parametrize(
@@ -173,9 +173,9 @@ async def test_a_poll_that_is_killed_loses_nothing_that_was_journalled(tmp_path:
             process.send_signal(signal.SIGTERM)
             assert await asyncio.to_thread(process.wait) == 0
     arrived, journal = polls.in_file(), polls.in_journal()
-    found = Found(journal, confirmed(polls), arrived)
-    assert found.lost == 0
-    assert found.repeated <= KILLS * (MOST_OF_JOURNAL + 10)
+    result = Found(journal, confirmed(polls), arrived)
+    assert result.lost == 0
+    assert result.repeated <= KILLS * (MOST_OF_JOURNAL + 10)
     assert confirmed(polls) == journal[-1]
 
 
@@ -184,7 +184,7 @@ def delete(path: str, *endings: str) -> None:
         os.unlink(f"{path}{each}")
 
 
-async def polled(broker: FakeOutput, count: int) -> None:
+async def poll_all(broker: FakeOutput, count: int) -> None:
     """Wait until an output has received so many more polls, in simulated time."""
     for _ in range(count):
         before = len(broker.ids)
@@ -198,20 +198,20 @@ def test_a_journal_that_was_deleted_is_replaced(path: str, endings, caplog) -> N
 
     async def lose(fleet: Fleet) -> None:
         delete(path, *endings)
-        await polled(broker, 10)
+        await poll_all(broker, 10)
         assert journal_of(fleet).trouble == ""
         away.is_away = False
         await until(lambda: fleet.statistics.outputs["away"].waiting == 0)
 
     fleet = run_for(path, 100, broker, away, change=lose)
-    kept = in_journal(path)
-    assert kept == broker.ids[-len(kept) :]
-    assert 15 <= len(kept) < len(broker.ids)
+    rows = in_journal(path)
+    assert rows == broker.ids[-len(rows) :]
+    assert 15 <= len(rows) < len(broker.ids)
     # What was behind the last entry in memory is delivered, too.
     assert away.ids == broker.ids
     assert journal_of(fleet).dropped == 0
-    told = f"{path}: was deleted or replaced while it was in use; a new journal begins"
-    assert caplog.text.count(told) == 1
+    message = f"{path}: was deleted or replaced while it was in use; a new journal begins"
+    assert caplog.text.count(message) == 1
 
 
 @pytest.mark.usefixtures("inline")
@@ -221,7 +221,7 @@ def test_a_journal_whose_changes_were_deleted_is_kept(path: str, caplog) -> None
 
     async def lose(fleet: Fleet) -> None:
         delete(path, "-wal")
-        await polled(broker, 10)
+        await poll_all(broker, 10)
 
     run_for(path, 100, broker, change=lose)
     assert in_journal(f"{path}-damaged") + in_journal(path) == broker.ids
@@ -239,12 +239,12 @@ def test_another_file_in_its_place_is_kept(path: str, tmp_path: Path) -> None:
 
     async def restore(fleet: Fleet) -> None:
         os.rename(copy, path)
-        await polled(broker, 10)
+        await poll_all(broker, 10)
 
     run_for(path, 100, broker, change=restore)
     assert in_journal(f"{path}-damaged") == older
-    kept = in_journal(path)
-    assert kept == broker.ids[-len(kept) :] != []
+    rows = in_journal(path)
+    assert rows == broker.ids[-len(rows) :] != []
 
 
 def test_the_journal_of_another_program_in_its_place_is_left_alone(path: str) -> None:

@@ -39,7 +39,7 @@ BROKEN = OSError(errno.EIO, "Input/output error")
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "error", "told"),
+    ("kind", "name", "error", "reason"),
     [
         (JournalFile, "write_polls", FULL, "fleet.db: the disk is full"),
         (JournalFile, "write_polls", DEFECT, "a defect"),
@@ -48,7 +48,7 @@ BROKEN = OSError(errno.EIO, "Input/output error")
     ],
 )
 def test_a_disk_that_fails_for_long_is_logged_delays_no_output_and_loses_no_reading(
-    path: str, monkeypatch, caplog, kind, name, error, told
+    path: str, monkeypatch, caplog, kind, name, error, reason
 ) -> None:
     failing = Failing(monkeypatch, kind, name)
     broker, away = FakeOutput(), FakeOutput("away", is_away=True)
@@ -59,7 +59,7 @@ def test_a_disk_that_fails_for_long_is_logged_delays_no_output_and_loses_no_read
         before = len(broker.ids)
         await asyncio.sleep(1000)
         assert len(broker.ids) >= before + 300 - 3
-        await until(lambda: journal.trouble.endswith(told))
+        await until(lambda: journal.trouble.endswith(reason))
         assert journal.failures >= 30
         failing.error = None
         away.is_away = False
@@ -71,7 +71,7 @@ def test_a_disk_that_fails_for_long_is_logged_delays_no_output_and_loses_no_read
     assert broker.ids == away.ids == in_journal(path)
     # Once until something succeeds; after a failure to force, the next write does.
     logged = [each.getMessage() for each in caplog.records]
-    failures = sum(each.endswith(told) for each in logged)
+    failures = sum(each.endswith(reason) for each in logged)
     assert failures == logged.count(f"{path} accepts readings again") > 0
     assert ("Traceback" in caplog.text) is (error is DEFECT)
 
@@ -184,11 +184,11 @@ async def test_an_output_gets_what_memory_has_dropped_when_it_is_in_the_file(
     journal = Journal(path)
     [place] = await journal.open(["broker"])
     journal.put_readings(each for at in range(10) for each in readings("a", float(at)))
-    found = await place.take_polls(100, timeout=HOUR)
+    ids = await place.take_polls(100, timeout=HOUR)
     await journal.close()
-    found = [each.id for each in found]
-    assert found == in_journal(path)
-    assert len(found) == 20
+    ids = [each.id for each in ids]
+    assert ids == in_journal(path)
+    assert len(ids) == 20
 
 
 @in_simulated_time
@@ -211,9 +211,9 @@ async def test_each_poll_is_forced_onto_the_disk_although_none_follows(path: str
         await asyncio.sleep(0.45)
     await asyncio.sleep(5)
     await journal.close()
-    written = [at for name, at in calls if name == "write_polls"]
-    assert len(written) == 4
-    for each in written:
+    times = [at for name, at in calls if name == "write_polls"]
+    assert len(times) == 4
+    for each in times:
         forced = min(at for name, at in calls if name == "force" and at > each)
         assert forced - each <= 0.5 + 0.5 + 0.01  # until it begins, and what the disk takes
 

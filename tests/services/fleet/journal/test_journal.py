@@ -18,7 +18,7 @@ from libmodbus_py.services.fleet.journal import place as recent
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from tests.services.fleet.fleets import Peer, in_simulated_time, meter, until
-from tests.services.fleet.journal.journals import asked, in_journal, journal_of, readings, run_for
+from tests.services.fleet.journal.journals import in_journal, journal_of, query, readings, run_for
 from tests.support.outputs import FakeOutput
 
 HOUR = 3600.0
@@ -70,15 +70,15 @@ async def test_readings_have_ids_for_programs_too(path: str, inline: None) -> No
     async with Peer() as peer:
         device = meter("a", peer.url, interval=10)
         fleet = Fleet([device], journal=Journal(path))
-        kept = fleet.readings()
+        iterator = fleet.readings()
         async with fleet:
             await asyncio.sleep(25)
             fleet.replace([])
             await asyncio.sleep(1)
-        found = [each async for each in kept]
-    assert found[-1].quality == "offline"
-    assert [each.id for each in found] == list(range(found[0].id, found[0].id + len(found)))
-    assert [each.id for each in found] == in_journal(path)
+        results = [each async for each in iterator]
+    assert results[-1].quality == "offline"
+    assert [each.id for each in results] == list(range(results[0].id, results[0].id + len(results)))
+    assert [each.id for each in results] == in_journal(path)
 
 
 @in_simulated_time
@@ -94,16 +94,16 @@ async def test_an_output_that_is_slower_than_the_readings_is_bounded_by_the_jour
         if at % 10 == 0:
             await asyncio.sleep(1)
     await asyncio.sleep(10)
-    left = in_journal(path)
-    assert 100 < len(left) < 9000
-    assert place.dropped == 10_000 - len(left)
-    assert len(place) == len(left)
-    taken = []
+    rows = in_journal(path)
+    assert 100 < len(rows) < 9000
+    assert place.dropped == 10_000 - len(rows)
+    assert len(place) == len(rows)
+    batches = []
     while batch := await place.take_polls(500, 0.1):
-        taken += batch
+        batches += batch
         await place.confirm_readings(batch)
-    assert [each.id for each in taken] == left
-    assert place.dropped == 10_000 - len(left)
+    assert [each.id for each in batches] == rows
+    assert place.dropped == 10_000 - len(rows)
     await journal.close()
     assert [each.getMessage() for each in caplog.records] == [
         "slow: the journal is full; its oldest readings are dropped unconfirmed"
@@ -116,7 +116,7 @@ def test_a_file_is_the_same_output_in_whatever_folder_the_program_starts(
     monkeypatch.chdir(tmp_path)
     run_for(path, 30, JsonOutput("readings.jsonl"))
     run_for(path, 30, JsonOutput(str(tmp_path / "readings.jsonl")))
-    assert asked(path, "SELECT output FROM place") == [(f"json {tmp_path}/readings.jsonl",)]
+    assert query(path, "SELECT output FROM place") == [(f"json {tmp_path}/readings.jsonl",)]
 
 
 @in_simulated_time
@@ -159,13 +159,13 @@ async def test_a_journal_belongs_to_one_fleet(path: str) -> None:
 async def test_waiting_readings_are_written_when_the_fleet_ends(path: str) -> None:
     journal = Journal(path)
     await journal.open(["x"])
-    told = [journal.put_readings(readings("a", time.time() + at)) for at in range(1000)]
+    batches = [journal.put_readings(readings("a", time.time() + at)) for at in range(1000)]
     await journal.close()
     assert journal.put_readings(readings()) == readings()  # nothing is expected any more
-    last = told[-1][-1].id
-    found = in_journal(path)
-    assert len(found) == 2000
-    assert found[-1] == last
+    last = batches[-1][-1].id
+    rows = in_journal(path)
+    assert len(rows) == 2000
+    assert rows[-1] == last
 
 
 async def test_a_cancelled_opening_leaves_the_file_to_others(path: str, monkeypatch) -> None:

@@ -23,7 +23,7 @@ from libmodbus_py.services.fleet.journal.schema import (
     JournalPoll,
     numbered,
 )
-from tests.services.fleet.journal.journals import asked, polls, readings
+from tests.services.fleet.journal.journals import polls, query, readings
 
 DAY = 86_400.0
 
@@ -36,9 +36,9 @@ def opened(path: str, *outputs: str, keep: float = 90 * DAY, size: int = 10**9) 
 
 @pytest.fixture
 def file(path: str) -> Iterator[JournalFile]:
-    made = opened(path, "a", "b")
-    yield made
-    made.close()
+    journal = opened(path, "a", "b")
+    yield journal
+    journal.close()
 
 
 def test_polls_are_read_as_they_were_written(file: JournalFile) -> None:
@@ -59,12 +59,12 @@ def test_polls_are_read_as_they_were_written(file: JournalFile) -> None:
 def test_a_poll_that_is_written_again_is_there_once(file: JournalFile) -> None:
     file.write_polls(polls(1, 2), {}, 0)
     file.write_polls(polls(1, 3), {}, 0)
-    assert asked(file.path, "SELECT id FROM poll") == [(1,), (3,), (5,)]
+    assert query(file.path, "SELECT id FROM poll") == [(1,), (3,), (5,)]
 
 
 def test_a_person_sees_names_units_and_labels(file: JournalFile) -> None:
     hostile = "'; DROP TABLE poll; --"
-    told = [
+    rows = [
         Reading(0.5, hostile, 'a"b', 230.5, "V", "good", labels={"site": "north"}),
         Reading(
             0.5, hostile, "$.x[0]", None, "", "bad", "IllegalDataAddress", labels={"site": "north"}
@@ -72,11 +72,11 @@ def test_a_person_sees_names_units_and_labels(file: JournalFile) -> None:
         Reading(0.5, hostile, "on", True, "", "good", labels={"site": "north"}),
         Reading(0.5, hostile, "list", [1, 2], "", "good", labels={"site": "north"}),
     ]
-    later = [told[2]._replace(time=1.5, value=False), told[0]._replace(time=1.5, value="x")]
-    file.write_polls([*numbered(told, 10), *numbered(later, 20)], {}, 0)
+    later = [rows[2]._replace(time=1.5, value=False), rows[0]._replace(time=1.5, value="x")]
+    file.write_polls([*numbered(rows, 10), *numbered(later, 20)], {}, 0)
     columns = "id, time, device, name, value, unit, quality, reason, labels, seconds"
     at, labels = "1970-01-01T00:00:00.500Z", '{"site":"north"}'
-    assert asked(file.path, f"SELECT {columns} FROM reading ORDER BY id") == [
+    assert query(file.path, f"SELECT {columns} FROM reading ORDER BY id") == [
         (10, at, hostile, 'a"b', 230.5, "V", "good", "", labels, 0.5),
         (11, at, hostile, "$.x[0]", None, "", "bad", "IllegalDataAddress", labels, 0.5),
         (12, at, hostile, "on", 1, "", "good", "", labels, 0.5),
@@ -87,7 +87,7 @@ def test_a_person_sees_names_units_and_labels(file: JournalFile) -> None:
 
 
 def test_a_question_about_one_device_uses_the_index(file: JournalFile) -> None:
-    plan = asked(
+    plan = query(
         file.path, "EXPLAIN QUERY PLAN SELECT * FROM reading WHERE device = 'a' AND seconds > 5"
     )
     assert any("poll_of_device (device=? AND time>?)" in str(row) for row in plan), plan
@@ -111,7 +111,7 @@ def test_readings_keep_the_labels_of_their_time(file: JournalFile) -> None:
 def test_the_first_points_of_a_list_are_not_all_of_a_history(file: JournalFile) -> None:
     file.write_polls(some(1, "p0", "p1"), {}, 0)
     file.write_polls(some(3, "p0"), {}, 0)
-    assert asked(file.path, "SELECT chosen FROM poll") == [(None,), (None,)]
+    assert query(file.path, "SELECT chosen FROM poll") == [(None,), (None,)]
     assert [each.value for each in history(file.path, "a", "p1", 0, 9)] == [1]
     assert [each.value for each in history(file.path, "a", "p0", 0, 9)] == [1, 3]
 
@@ -124,8 +124,8 @@ def test_a_history_has_numbers_and_text(file: JournalFile, names: tuple[str, ...
         [poll] = some(first, *names)
         changed = [each._replace(value=value) for each in poll.readings]
         file.write_polls([poll._replace(readings=changed)], {}, 0)
-    found = [each.value for each in history(file.path, "a", "p1", 0, 9)]
-    assert list(map(repr, found)) == ["1", "1", "'[1,null]'", "'{\"a\":false}'"]
+    values = [each.value for each in history(file.path, "a", "p1", 0, 9)]
+    assert list(map(repr, values)) == ["1", "1", "'[1,null]'", "'{\"a\":false}'"]
 
 
 def test_a_poll_that_cannot_be_written_delays_no_other(file: JournalFile, caplog) -> None:
@@ -134,7 +134,7 @@ def test_a_poll_that_cannot_be_written_delays_no_other(file: JournalFile, caplog
     file.write_polls(
         [*polls(1, 1), *numbered([strange], 3), *numbered([nameless], 4), *polls(5, 1)], {}, 0
     )
-    assert asked(file.path, "SELECT id FROM poll") == [(1,), (5,)]
+    assert query(file.path, "SELECT id FROM poll") == [(1,), (5,)]
     assert "a poll of 'b' is not written: Object of type object" in caplog.text
     assert "a poll of '\\ud800' is not written: 'utf-8' codec" in caplog.text
 
@@ -152,17 +152,17 @@ def test_places_are_kept_for_each_output(path: str) -> None:
     file.close()
     file.open(["new"])  # an output that is away keeps its place
     file.close()
-    assert dict(asked(path, "SELECT * FROM place"))["a"] == first.first + 3
+    assert dict(query(path, "SELECT * FROM place"))["a"] == first.first + 3
 
 
 @pytest.mark.parametrize("now", [0.0, 4e9])
 def test_ids_rise_whatever_the_clock_says(path: str, now, monkeypatch) -> None:
     file = JournalFile(path, DAY, 10**9)
-    begun = file.open([])
-    file.write_polls(polls(begun.first, 5), {}, 0)
+    contents = file.open([])
+    file.write_polls(polls(contents.first, 5), {}, 0)
     file.close()
     monkeypatch.setattr(journal_file, "time", SimpleNamespace(time=lambda: now, monotonic=float))
-    assert file.open([]).first >= begun.first + 9 + MARGIN
+    assert file.open([]).first >= contents.first + 9 + MARGIN
     file.close()
 
 
@@ -175,7 +175,7 @@ def test_old_readings_are_deleted_once_all_outputs_confirmed_them(path: str) -> 
     )  # later ones wait for an output
     assert file.write_polls([], {}, 40).deleted[-1] == (19, 2)
     assert file.write_polls([], {}, 40).deleted == []
-    assert asked(path, "SELECT min(id), count(*) FROM poll") == [(21, 10)]
+    assert query(path, "SELECT min(id), count(*) FROM poll") == [(21, 10)]
     file.close()
 
 
@@ -186,8 +186,8 @@ def test_a_clock_that_is_wrong_for_a_while_deletes_little(path: str, now, monkey
     file._to_delete = 0  # what these allowed was used up long ago
     monkeypatch.setattr(journal_file, "time", SimpleNamespace(time=lambda: now, monotonic=float))
     file.write_polls(polls(5001, 3, time=now), {}, 10_000)
-    [[left]] = asked(path, "SELECT count(*) FROM poll WHERE id < 5000")
-    assert left == (970 if now else 1000)
+    [[count]] = query(path, "SELECT count(*) FROM poll WHERE id < 5000")
+    assert count == (970 if now else 1000)
     file.close()
 
 
@@ -196,12 +196,12 @@ def test_the_oldest_readings_make_room_confirmed_or_not(path: str) -> None:
     file = opened(path, "a", size=size)
     first, deleted = 1, 0
     for _ in range(100):
-        written = file.write_polls(polls(first, 100, time=time.time()), {}, 0)
+        result = file.write_polls(polls(first, 100, time=time.time()), {}, 0)
         first += 200
-        while written.deleted:
-            deleted = sum(written.deleted[-1]) - 1
-            written = file.write_polls([], {}, 0)
-    [[oldest, count]] = asked(path, "SELECT min(id), count(*) FROM poll")
+        while result.deleted:
+            deleted = sum(result.deleted[-1]) - 1
+            result = file.write_polls([], {}, 0)
+    [[oldest, count]] = query(path, "SELECT min(id), count(*) FROM poll")
     assert oldest == deleted + 1
     assert 500 < count < 10_000
     file.close()
@@ -267,11 +267,11 @@ def test_a_full_disk_leaves_all_as_it_was(file: JournalFile) -> None:
     many = polls(21, 5000)
     with pytest.raises(JournalError, match=r"the disk is full$"):
         file.write_polls(many, {"a": 1 << 61}, 0)
-    assert asked(file.path, "SELECT count(*), max(id) FROM poll") == [(10, 19)]
-    assert dict(asked(file.path, "SELECT * FROM place"))["a"] == 1 << 60
+    assert query(file.path, "SELECT count(*), max(id) FROM poll") == [(10, 19)]
+    assert dict(query(file.path, "SELECT * FROM place"))["a"] == 1 << 60
     file._used.execute("PRAGMA max_page_count = 1000000").fetchall()
     file.write_polls(many, {"a": 9}, 0)
-    assert asked(file.path, "SELECT count(*) FROM poll") == [(5010,)]
+    assert query(file.path, "SELECT count(*) FROM poll") == [(5010,)]
 
 
 def test_each_damaged_file_keeps_a_name_of_its_own(path: str) -> None:
@@ -297,9 +297,9 @@ def test_a_history_is_read_while_the_journal_is_written(file: JournalFile) -> No
     some = [each._replace(time=300.0, value=9.5) for each in readings()[1:]]
     bad = [each._replace(time=301.0, value=None, quality="bad") for each in reversed(readings())]
     file.write_polls([*numbered(some, 500), *numbered(bad, 502)], {}, 0)
-    found = history(file.path, "a", "p1", 150.0, 1000.0)
-    assert [each.time for each in found] == [*map(float, range(150, 200)), 300.0, 301.0]
-    assert [tuple(each)[1:] for each in found[-3:]] == [(0.1, "good"), (9.5, "good"), (None, "bad")]
+    rows = history(file.path, "a", "p1", 150.0, 1000.0)
+    assert [each.time for each in rows] == [*map(float, range(150, 200)), 300.0, 301.0]
+    assert [tuple(each)[1:] for each in rows[-3:]] == [(0.1, "good"), (9.5, "good"), (None, "bad")]
     assert history(file.path, "a", "p0", 299.0, 300.0) == []
     assert history(file.path, "a", "none", 0.0, 1000.0) == []
     assert len(history(file.path, "a", "p1", 0.0, 1000.0, most=9)) <= 9

@@ -34,13 +34,13 @@ def values(*numbers: Any) -> list[HistoricalValue]:
     return [at(time, number) for time, number in enumerate(numbers)]
 
 
-def left(given: list[HistoricalValue], length: float, most: int) -> list[float]:
+def times_of(values: list[HistoricalValue], length: float, most: int) -> list[float]:
     """Return the seconds of the values that stand for the others."""
-    return [each.time - SINCE for each in thinned(given, SINCE, SINCE + length, most)]
+    return [each.time - SINCE for each in thinned(values, SINCE, SINCE + length, most)]
 
 
 @each_case(
-    ("given", "length", "most", "expected"),
+    ("history", "length", "most", "times"),
     [
         (values(*range(30)), 30, 30, [*range(30)]),  # as many as may be are all
         # Of a span the first smallest, the last greatest, and the first bad one, in their order.
@@ -55,12 +55,12 @@ def left(given: list[HistoricalValue], length: float, most: int) -> list[float]:
         ([], 0, 3, []),
     ],
 )
-def test_thinned_values_contain_the_extremes_of_each_span(given, length, most, expected) -> None:
-    assert left(given, length, most) == expected
+def test_thinned_values_contain_the_extremes_of_each_span(history, length, most, times) -> None:
+    assert times_of(history, length, most) == times
 
 
 @each_case(
-    ("most", "error", "said"),
+    ("most", "error", "message"),
     [
         (2, ValueError, "most"),
         (3, JournalError, "fleet.db"),
@@ -68,19 +68,19 @@ def test_thinned_values_contain_the_extremes_of_each_span(given, length, most, e
         (1_000_001, ValueError, "most"),
     ],
 )
-def test_three_values_to_a_million_may_be_asked_for(path: str, most, error, said) -> None:
+def test_three_values_to_a_million_may_be_asked_for(path: str, most, error, message) -> None:
     """There is no such file, so that what may be asked for ends with another error."""
-    with pytest.raises(error, match=said):
+    with pytest.raises(error, match=message):
         history(path, "meter", "level", SINCE, SINCE + 1, most)
     assert past_in(path)("meter", "level", SINCE, SINCE + 1, 100) == []
 
 
 def test_numbers_and_gaps_of_a_value(path: str) -> None:
-    told = [(1, 5.5, "good"), (2, None, "down"), (3, "text", "good"), (4, 7, "good")]
+    rows = [(1, 5.5, "good"), (2, None, "down"), (3, "text", "good"), (4, 7, "good")]
     past = past_in(path)
     with closing(JournalFile(path, 1e9, 10**9)) as file:
         file.open([])
-        for at, value, quality in told:
+        for at, value, quality in rows:
             poll = [each._replace(time=float(at), value=value) for each in readings()]
             file.write_polls(
                 numbered([each._replace(quality=quality) for each in poll], at * 10), {}, 0

@@ -80,21 +80,21 @@ class Broker:
 @asynccontextmanager
 async def hearing(broker: Broker, *topics: str) -> AsyncIterator[list[tuple[str, Any, bool]]]:
     """Yield what a subscriber gets: the topic, the payload, and whether it was retained."""
-    heard: list[tuple[str, Any, bool]] = []
+    messages: list[tuple[str, Any, bool]] = []
 
     async def listen(client: aiomqtt.Client) -> None:
         async for message in client.messages:
             assert isinstance(message.payload, bytes)
             text = message.payload.decode()
-            found = json.loads(text) if text.startswith("{") else text
-            heard.append((str(message.topic), found, message.retain))
+            payload = json.loads(text) if text.startswith("{") else text
+            messages.append((str(message.topic), payload, message.retain))
 
     async with aiomqtt.Client("127.0.0.1", broker.port) as client:
         for topic in topics:
             await client.subscribe(topic, 1)
         task = asyncio.create_task(listen(client))
         try:
-            yield heard
+            yield messages
         finally:
             task.cancel()
             await asyncio.wait([task])
@@ -105,7 +105,7 @@ async def publish(broker: Broker, topic: str, payload: bytes, *, retain: bool = 
         await client.publish(topic, payload, 1, retain)
 
 
-def told(payload: Any) -> Any:
+def plain(payload: Any) -> Any:
     """Return a state, the value of a reading, or the values of a poll by name."""
     if isinstance(payload, str):
         return payload
@@ -114,8 +114,8 @@ def told(payload: Any) -> Any:
     return payload["value"]
 
 
-def heard_of(heard: list[tuple[str, Any, bool]], topic: str) -> list[Any]:
-    return [payload for each, payload, _ in heard if each == topic]
+def payloads(messages: list[tuple[str, Any, bool]], topic: str) -> list[Any]:
+    return [payload for each, payload, _ in messages if each == topic]
 
 
 @asynccontextmanager
@@ -126,7 +126,7 @@ async def commanded(broker: Broker, **options: Any) -> AsyncIterator[tuple[Fleet
         devices = [meter("a", running.urls[0], interval=0.02), meter("down", "tcp://127.0.0.1:1")]
         async with (
             Fleet(devices, outputs=[output]) as fleet,
-            hearing(broker, "modbus/+/+/set/result") as heard,
+            hearing(broker, "modbus/+/+/set/result") as messages,
         ):
             await until(lambda: fleet.statistics.outputs[output.name].written)
-            yield fleet, heard, device
+            yield fleet, messages, device

@@ -153,10 +153,10 @@ class HomeAssistant:
             self.removed.append(topic)
             self.entities.pop(topic, None)
         else:
-            config = json.loads(payload)
+            config = json.content(payload)
             self.added.append(topic)
             self.entities[topic] = check(topic, config), config
-            ids = [(each, found["unique_id"]) for each, found in self.entities.values()]
+            ids = [(each, entity["unique_id"]) for each, entity in self.entities.values()]
             assert len(set(ids)) == len(ids), "two entities with one id"
 
     @property
@@ -168,18 +168,18 @@ class HomeAssistant:
         }
 
     def entity(self, name: str, device: str = "") -> tuple[str, dict[str, Any]]:
-        (found,) = [
+        (pair,) = [
             (component, config)
             for component, config in self.entities.values()
             if config["name"] == name and device in ("", config["device"]["name"])
         ]
-        return found
+        return pair
 
     def is_available(self, name: str, device: str = "") -> bool:
         _, config = self.entity(name, device)
         assert config["availability_mode"] == "all"
-        heard = [self.payloads.get(each["topic"]) for each in config["availability"]]
-        return all(each == "online" for each in heard)
+        states = [self.payloads.get(each["topic"]) for each in config["availability"]]
+        return all(each == "online" for each in states)
 
     def state(self, name: str, device: str = "") -> Any:
         """The state of an entity: None if it is unknown."""
@@ -188,7 +188,7 @@ class HomeAssistant:
         if payload is None:
             return None
         template = JINJA.from_string(config["value_template"])
-        text = template.render(value=payload, value_json=json.loads(payload))
+        text = template.render(value=payload, value_json=json.content(payload))
         if text == "None":
             return None
         match component:

@@ -40,9 +40,9 @@ class SmallDisk:
     def write(self, descriptor: int, data: bytes) -> int:
         if not self.room:
             raise OSError(errno.ENOSPC, "No space left on device")
-        written = self._write(descriptor, data[: self.room])
-        self.room -= written
-        return written
+        count = self._write(descriptor, data[: self.room])
+        self.room -= count
+        return count
 
 
 @pytest.mark.parametrize("make", [JsonOutput, CsvOutput])
@@ -89,7 +89,7 @@ async def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_rea
 
 @pytest.mark.parametrize("after", [[], ["b"], ["a"]], ids=["none", "another", "itself"])
 @in_simulated_time
-async def test_an_answer_after_a_reload_is_of_nobody(after: list[str]) -> None:
+async def test_a_reload_discards_answers_of_former_devices(after: list[str]) -> None:
     """A device is removed, replaced, or changed while it is asked: no reading of the former."""
     answers = asyncio.Event()
 

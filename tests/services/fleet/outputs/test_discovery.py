@@ -137,7 +137,7 @@ async def test_a_value_that_a_user_sets_is_written_and_shown_at_once(broker: Bro
             meter("north", running.urls[0], map=EVERY_KIND, interval=0.5, on_change=True),
             commands=True,
         ) as (fleet, home),
-        hearing(broker, "modbus/+/+/set/result") as heard,
+        hearing(broker, "modbus/+/+/set/result") as messages,
     ):
         await until(lambda: len(home.entities) == 35 and home.is_available("voltage"))
         values = {"setpoint": 12.3, "mode": "off", "valve": False, "gain": -2.5}
@@ -148,13 +148,13 @@ async def test_a_value_that_a_user_sets_is_written_and_shown_at_once(broker: Bro
             await home.set(name, value)
             await until(lambda: home.state(name) == value)  # noqa: B023
         await home.set("start", True)
-        await until(lambda: device.mapping.coils[1] and len(heard) == 7)
-        assert [payload["ok"] for _, payload, _ in heard] == [True] * 7
+        await until(lambda: device.mapping.coils[1] and len(messages) == 7)
+        assert [payload["ok"] for _, payload, _ in messages] == [True] * 7
         # Home Assistant knows the range, others may not.
         await home.set("setpoint", 31)
         await home.set("mode", "of")
-        await until(lambda: len(heard) == 9)
-        assert [payload["ok"] for _, payload, _ in heard[7:]] == [False] * 2
+        await until(lambda: len(messages) == 9)
+        assert [payload["ok"] for _, payload, _ in messages[7:]] == [False] * 2
         assert (home.state("setpoint"), home.state("mode")) == (12.3, "off")
 
 
@@ -198,9 +198,9 @@ async def test_two_hundred_entities_are_added_and_deleted(broker: Broker) -> Non
             fleet.replace([])
             await until(lambda: not home.entities)
             assert len(home.added) == 203
-        async with hearing(broker, "homeassistant/#", "modbus/status") as heard:
-            await until(lambda: heard)
-        assert [topic for topic, *_ in heard] == [
+        async with hearing(broker, "homeassistant/#", "modbus/status") as messages:
+            await until(lambda: messages)
+        assert [topic for topic, *_ in messages] == [
             "modbus/status"
         ]  # the broker retains nothing else
 
@@ -385,58 +385,58 @@ def discovery() -> Discovery:
     return Discovery(Topics("modbus/status", status, point, point, True, False))
 
 
-def messages_of(known: Discovery, device: DeviceConfig, quality: Any) -> list[bytes]:
+def messages_of(discovery_: Discovery, device: DeviceConfig, quality: Any) -> list[bytes]:
     readings = [Reading(0.0, device.name, name, 1, "", quality) for name in device.names]
-    changed = known.changed(readings)
-    payloads = [each.payload for each in known.messages(changed)]
-    known.keep_devices(changed, readings, set())
+    changed = discovery_.changed(readings)
+    payloads = [each.payload for each in discovery_.messages(changed)]
+    discovery_.keep_devices(changed, readings, set())
     return payloads
 
 
 def test_a_device_that_another_worker_polls_keeps_its_entities() -> None:
-    known, device = discovery(), meter("a", "tcp://192.0.2.1")
-    known.describe({"a": device})
-    assert len(messages_of(known, device, "good")) == 3
-    assert messages_of(known, device, "offline") == []  # the lease was lost
-    known.describe({})  # it is passed on
-    assert messages_of(known, device, "good") == []  # readings that waited
-    assert list(known.last_messages()) == []
-    known.describe({"a": replace(device)})
-    assert len(messages_of(known, device, "good")) == 3  # the other may have deleted them
-    assert messages_of(known, device, "good") == []
-    known.describe({"a": replace(device)})  # the file was read again
-    assert messages_of(known, device, "good") == []
-    known.describe({})
-    assert messages_of(known, device, "offline") == [b""] * 3
-    assert messages_of(known, device, "offline") == []
-    assert known.published == {}
+    discovery_, device = discovery(), meter("a", "tcp://192.0.2.1")
+    discovery_.describe({"a": device})
+    assert len(messages_of(discovery_, device, "good")) == 3
+    assert messages_of(discovery_, device, "offline") == []  # the lease was lost
+    discovery_.describe({})  # it is passed on
+    assert messages_of(discovery_, device, "good") == []  # readings that waited
+    assert list(discovery_.last_messages()) == []
+    discovery_.describe({"a": replace(device)})
+    assert len(messages_of(discovery_, device, "good")) == 3  # the other may have deleted them
+    assert messages_of(discovery_, device, "good") == []
+    discovery_.describe({"a": replace(device)})  # the file was read again
+    assert messages_of(discovery_, device, "good") == []
+    discovery_.describe({})
+    assert messages_of(discovery_, device, "offline") == [b""] * 3
+    assert messages_of(discovery_, device, "offline") == []
+    assert discovery_.published == {}
 
 
 def test_a_device_that_goes_while_it_is_published_is_deleted() -> None:
-    known, device = discovery(), meter("a", "tcp://192.0.2.1")
-    known.describe({"a": device})
+    discovery_, device = discovery(), meter("a", "tcp://192.0.2.1")
+    discovery_.describe({"a": device})
     readings = [Reading(0.0, "a", "power", 1, "", "good")]
-    changed = known.changed(readings)
-    known.describe({})
-    known.keep_devices(changed, readings, set())
-    assert messages_of(known, device, "offline") == [b""] * 3
+    changed = discovery_.changed(readings)
+    discovery_.describe({})
+    discovery_.keep_devices(changed, readings, set())
+    assert messages_of(discovery_, device, "offline") == [b""] * 3
 
 
 def test_configurations_that_another_poller_may_have_published_are_not_deleted() -> None:
-    known = discovery()
-    known.describe({"a": meter("a", "tcp://192.0.2.1")})
-    known.add_topic("homeassistant/sensor/x/y/config")
-    assert known.leftovers(is_alone=True) == {"homeassistant/sensor/x/y/config"}
-    assert known.leftovers(is_alone=False) == set()
-    assert known.leftovers(is_alone=True) == set()  # the connection was lost, and is there again
+    entities = discovery()
+    entities.describe({"a": meter("a", "tcp://192.0.2.1")})
+    entities.add_topic("homeassistant/sensor/x/y/config")
+    assert entities.leftovers(is_alone=True) == {"homeassistant/sensor/x/y/config"}
+    assert entities.leftovers(is_alone=False) == set()
+    assert entities.leftovers(is_alone=True) == set()  # the connection was lost, and is there again
 
 
 def test_numbers_have_bounds_and_steps_that_are_allowed() -> None:
     def entity(**options: Any) -> tuple[str, dict[str, Any]]:
         map_ = RegisterMap([Point("x", H, 0, **options), Point("f", H, 8)])
-        known = Discovery(discovery()._topics._replace(takes_commands=True))
-        known.describe({"a": meter("a", "tcp://192.0.2.1", map=map_)})
-        topic, config = next(known._entities(known.devices["a"]))
+        discovery_ = Discovery(discovery()._topics._replace(takes_commands=True))
+        discovery_.describe({"a": meter("a", "tcp://192.0.2.1", map=map_)})
+        topic, config = next(discovery_._entities(discovery_.devices["a"]))
         return check(topic, config), {key: config.get(key) for key in ("min", "max", "step")}
 
     for options, component, bounds in (

@@ -103,10 +103,10 @@ ODD = {"site": 'Halle "2", Tor\\', "line": "ü"}
 @each_case("kind", [each for each in EVERY if each not in ("csv", "influx")])
 def test_labels_of_json_are_an_object_that_stands_once(kind: str, tmp_path: Path) -> None:
     path = tmp_path / kind
-    found = EVERY[kind](path, [reading("north", "level")._replace(labels=ODD)])
-    told = json.loads(found[0][found[0].index("{") :])
-    assert told["labels"] == ODD
-    assert "labels" not in str(told.get("values", ""))
+    lines = EVERY[kind](path, [reading("north", "level")._replace(labels=ODD)])
+    row = json.loads(lines[0][lines[0].index("{") :])
+    assert row["labels"] == ODD
+    assert "labels" not in str(row.get("values", ""))
 
 
 def test_csv_has_a_column_for_each_label_that_is_named(tmp_path: Path) -> None:
@@ -122,8 +122,8 @@ def test_json_has_the_id_of_a_reading_that_has_one(kind: str, number: int, tmp_p
     """Readings have ids from a journal."""
     (tmp_path / kind).unlink(missing_ok=True)
     (line,) = EVERY[kind](tmp_path / kind, [reading("a", "level")._replace(id=number)])
-    told = json.loads(line[line.index("{") :])
-    assert told.get("values", {"level": told})["level"].get("id", 0) == number
+    row = json.loads(line[line.index("{") :])
+    assert row.get("values", {"level": row})["level"].get("id", 0) == number
     assert ("id" in line) is bool(number)
 
 
@@ -135,8 +135,8 @@ def test_a_former_topic_is_taken_back_until_that_was_accepted(topic: str) -> Non
     list(messages.of(sites[:1]))
     messages.keep_readings()
     for _ in range(2):  # the connection is lost during the first write
-        sent = [(at.partition("/")[0], b'"offline"' in data) for at, data, *_ in messages.of(moved)]
-        assert sent == [("x", True), ("y", False), ("y", True), ("z", False)]
+        rows = [(at.partition("/")[0], b'"offline"' in data) for at, data, *_ in messages.of(moved)]
+        assert rows == [("x", True), ("y", False), ("y", True), ("z", False)]
     messages.keep_readings()
     assert [at.partition("/")[0] for at, *_ in messages.of(moved[1:])] == ["z"]
 
@@ -154,15 +154,15 @@ def test_bad_columns_are_refused(refused: Refused) -> None:
 
 
 @pytest.mark.parametrize(
-    ("output", "package", "told"),
+    ("output", "package", "message"),
     [
         (Influx(url="http://192.0.2.1", database="plant"), "httpx", "InfluxDB needs httpx: "),
         (Mqtt("mqtt://192.0.2.1"), "aiomqtt", "MQTT needs aiomqtt: "),
     ],
 )
-def test_without_its_package_one_line_says_what_to_install(output, package, told, monkeypatch):
+def test_without_its_package_one_line_says_what_to_install(output, package, message, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(OutputError, match=told):
+    with pytest.raises(OutputError, match=message):
         asyncio.run(output.open_output())
 
 
@@ -190,7 +190,7 @@ def test_a_number_has_the_same_digits_in_each_output_on_the_page_and_in_read(
     assert text_of(value, value_type(type)) == text
     assert value_text(value) == text
     one = reading("north", "level", value)
-    for name, written in EVERY.items():
-        *_, line = written(tmp_path / name.replace(" ", ""), [one])
-        found = re.findall(r"(?<![\w.-])-?[0-9]+(?:\.[0-9]+)?", line)
-        assert text in found, (name, line)
+    for name, save in EVERY.items():
+        *_, line = save(tmp_path / name.replace(" ", ""), [one])
+        numbers = re.findall(r"(?<![\w.-])-?[0-9]+(?:\.[0-9]+)?", line)
+        assert text in numbers, (name, line)

@@ -117,7 +117,7 @@ SOURCES = ["fleet.toml", "./fleet.toml", "devices.csv", "meter.csv", "other.csv"
 
 @each_case("source", SOURCES)
 @each_case("kind", ["json", "csv", "influx"])
-def test_in_the_fleet_file(tmp_path: Path, kind: str, source: str) -> None:
+def test_a_fleet_file_overwrites_no_source(tmp_path: Path, kind: str, source: str) -> None:
     broker = f'{BROKER}user = "u"\npassword_file = "secret"\n'
     file = fleet_file(tmp_path, f'{broker}[output.{kind}]\npath = "{source}"\n')
     with pytest.raises(FleetFileError, match="which the fleet is read from"):
@@ -125,11 +125,11 @@ def test_in_the_fleet_file(tmp_path: Path, kind: str, source: str) -> None:
 
 
 @pytest.mark.parametrize("source", ["devices.csv", "link"])
-def test_on_the_command_line(tmp_path: Path, source: str) -> None:
+def test_the_command_line_overwrites_no_source(tmp_path: Path, source: str) -> None:
     file = fleet_file(tmp_path)
     (tmp_path / "link").symlink_to("meter.csv")
-    done = run("poll", file, "--once", "--json", tmp_path / source)
-    assert done.code == 2
-    assert "which the fleet is read from" in done.err
+    result = run("poll", file, "--once", "--json", tmp_path / source)
+    assert result.code == 2
+    assert "which the fleet is read from" in result.err
     assert file.read_text() == FLEET
     assert (tmp_path / "meter.csv").read_text() == METER_MAP

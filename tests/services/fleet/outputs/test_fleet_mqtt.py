@@ -18,7 +18,14 @@ from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.tools.certificates import Identity
 from tests.services.fleet.fleets import meter, real_peer, until
-from tests.services.fleet.outputs.brokers import Broker, commanded, heard_of, hearing, publish, told
+from tests.services.fleet.outputs.brokers import (
+    Broker,
+    commanded,
+    hearing,
+    payloads,
+    plain,
+    publish,
+)
 from tests.support import certificates
 from tests.support.certificates import Pki
 from tests.support.golden import Refused
@@ -38,15 +45,15 @@ def secure(broker: Broker, pki: Pki, identity: Identity) -> str:
     return f"mqtts://127.0.0.1:{port}"
 
 
-async def test_readings_over_tls(broker: Broker, tmp_path: Path) -> None:
+async def test_readings_arrive_over_tls(broker: Broker, tmp_path: Path) -> None:
     pki = Pki(tmp_path)
     url = secure(broker, pki, certificates.server())
     async with real_peer() as peer:
         device = meter("a", peer.url, interval=60)
         output = Mqtt(url, ca=str(pki.ca))
         await Fleet([device], outputs=[output]).run(once=True)
-    async with hearing(broker, "#") as heard:
-        await until(lambda: len(heard) >= 4)
+    async with hearing(broker, "#") as messages:
+        await until(lambda: len(messages) >= 4)
 
 
 @pytest.mark.parametrize("wrong", ["another authority", "another host"])
@@ -56,13 +63,13 @@ async def test_a_broker_that_is_not_trusted_gets_nothing(broker: Broker, tmp_pat
     identity = certificates.server(**({} if is_foreign else {"hosts": ("other.example",)}))
     trusted = pki.authority(certificates.foreign_authority()) if is_foreign else pki.ca
     url = secure(broker, pki, identity)
-    async with real_peer() as peer, hearing(broker, "#") as heard:
+    async with real_peer() as peer, hearing(broker, "#") as messages:
         output = Mqtt(url, ca=str(trusted), password="secret", user="user")
         async with Fleet([meter("a", peer.url, interval=0.05)], outputs=[output]) as fleet:
             statistics = fleet.statistics.outputs[output.name]
             await until(lambda: statistics.trouble)
             assert "certificate" in statistics.trouble.lower()
-        assert heard == []
+        assert messages == []
 
 
 async def test_a_file_of_authorities_that_is_none_is_told(tmp_path: Path) -> None:
@@ -79,17 +86,17 @@ async def test_the_last_will_says_who_is_gone(broker: Broker, tmp_path: Path) ->
         f'[output.mqtt]\nurl = "{broker.url}"\nstatus = "poller"\n'
         '[[device]]\nname = "a"\nurl = "tcp://127.0.0.1:1"\nmap = "meter.csv"\n'
     )
-    async with hearing(broker, "poller") as heard:
+    async with hearing(broker, "poller") as messages:
         program = [sys.executable, "-m", "libmodbus_py", "poll", str(tmp_path / "fleet.toml")]
         with subprocess.Popen(program) as poller:
-            await until(lambda: heard_of(heard, "poller") == ["online"])
+            await until(lambda: payloads(messages, "poller") == ["online"])
             poller.kill()
-        await until(lambda: heard_of(heard, "poller")[1:] == ["offline"])
+        await until(lambda: payloads(messages, "poller")[1:] == ["offline"])
 
 
 @pytest.mark.parametrize("options", [{"user": "user", "password": "wrong"}, {}])
 async def test_wrong_credentials_are_one_line(broker: Broker, options, caplog) -> None:
-    said = "Not authorized"
+    reason = "Not authorized"
     broker.settings[1] = f"password_file {broker._folder / 'passwords'}"
     broker.change()
     async with real_peer() as peer:
@@ -97,14 +104,14 @@ async def test_wrong_credentials_are_one_line(broker: Broker, options, caplog) -
         async with Fleet([meter("a", peer.url)], outputs=[output]) as fleet:
             statistics = fleet.statistics.outputs[output.name]
             await until(lambda: statistics.failures > 1)
-            assert said in statistics.trouble
+            assert reason in statistics.trouble
             assert fleet.statistics.failures == 0
         right = Mqtt(broker.url, user="user", password="secret")
         fleet = Fleet([meter("a", peer.url, interval=60)], outputs=[right])
         await fleet.run(once=True)
         assert fleet.statistics.outputs[right.name].written == 3
     warned = [each for each in caplog.records if each.levelno >= logging.WARNING]
-    assert len([each for each in warned if said in each.getMessage()]) == 1
+    assert len([each for each in warned if reason in each.getMessage()]) == 1
     assert "wrong" not in caplog.text
     assert "secret" not in caplog.text
 
@@ -139,11 +146,11 @@ async def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:
         ("a/setpoint", b"[" * 4000, "it must be a value in JSON"),
         ("a/setpoint", b"1" * 5000, "at most 4096 bytes"),
     ]
-    async with commanded(broker, commands=True) as (fleet, heard, device):
+    async with commanded(broker, commands=True) as (fleet, messages, device):
         for at, (topic, data, error) in enumerate(cases):
             await publish(broker, f"modbus/{topic}/set", data)
-            await until(lambda at=at: len(heard) > at)
-            result_topic, outcome, _ = heard[at]
+            await until(lambda at=at: len(messages) > at)
+            result_topic, outcome, _ = messages[at]
             assert result_topic == f"modbus/{topic}/set/result"
             assert outcome["ok"] is not bool(error)
             assert error in outcome.get("error", "")
@@ -154,22 +161,22 @@ async def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:
         # One that the broker kept was meant for yesterday.
         await publish(broker, "modbus/a/setpoint/set", b"15", retain=True)
         await until(lambda: device.mapping.holding_registers[2] == 15)
-    async with commanded(broker, commands=True) as (fleet, heard, device):
+    async with commanded(broker, commands=True) as (fleet, messages, device):
         await publish(broker, "modbus/a/setpoint/set", b"16")
-        await until(lambda: device.mapping.holding_registers[2] == 16 and heard)
+        await until(lambda: device.mapping.holding_registers[2] == 16 and messages)
         assert fleet.statistics.commands == 1
 
 
-async def test_off_unless_enabled(broker: Broker) -> None:
-    async with commanded(broker) as (fleet, heard, device):
+async def test_commands_do_nothing_unless_they_are_enabled(broker: Broker) -> None:
+    async with commanded(broker) as (fleet, messages, device):
         await publish(broker, "modbus/a/setpoint/set", b"21")
         before = fleet.statistics.polls
         await until(lambda: fleet.statistics.polls > before + 5)
-        assert (heard, device.mapping.holding_registers[2]) == ([], 20)
+        assert (messages, device.mapping.holding_registers[2]) == ([], 20)
 
 
 async def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
-    async with commanded(broker, commands=True) as (fleet, heard, _):
+    async with commanded(broker, commands=True) as (fleet, messages, _):
         async with aiomqtt.Client("127.0.0.1", broker.port) as client:
             for at in range(500):
                 await client.publish("modbus/down/setpoint/set", b"21", 0)
@@ -177,7 +184,7 @@ async def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
                     assert len(asyncio.all_tasks()) < 300
         polls = fleet.statistics.polls
         await until(lambda: fleet.statistics.polls > polls + 5)
-        await until(lambda: len(heard) > 20)
+        await until(lambda: len(messages) > 20)
         assert fleet.statistics.commands == 0
         assert fleet.statistics.up == 1
 
@@ -192,7 +199,7 @@ def poll(device: str, at: float, **values: Any) -> list[Reading]:
     ]
 
 
-async def written(pump: Pump, readings: list[Reading]) -> None:
+async def write_all(pump: Pump, readings: list[Reading]) -> None:
     count = pump.statistics.written + len(readings)
     pump.buffer.put_readings(readings)
     await until(lambda: pump.statistics.written == count)
@@ -201,28 +208,28 @@ async def written(pump: Pump, readings: list[Reading]) -> None:
 async def test_a_retained_message_has_the_last_values_of_all_points(broker: Broker) -> None:
     """The broker retains one message of a topic; with changes only, a poll has few values."""
     async with pumping(Mqtt(broker.url, topic=TOPIC)) as pump:
-        await written(pump, poll("a", 0, x=1, y=2))
-        await written(pump, [*poll("a", 1, y=3), *poll("a", 2, z=4)])
-        gone = Reading(103.0, "a", "x", None, "V", "offline")
-        async with hearing(broker, "plant/+") as heard:
-            await until(lambda: heard)
-            assert told(heard[-1][1]) == {"x": 1, "y": 3, "z": 4}
-            await written(pump, [gone])
-            await until(lambda: len(heard) == 2)
-            assert told(heard[-1][1]) == {"x": None, "y": 3, "z": 4}
-            await written(pump, poll("a", 4, y=5))
-            await until(lambda: len(heard) == 3)
-            assert told(heard[-1][1]) == {"y": 5, "z": 4}
+        await write_all(pump, poll("a", 0, x=1, y=2))
+        await write_all(pump, [*poll("a", 1, y=3), *poll("a", 2, z=4)])
+        offline = Reading(103.0, "a", "x", None, "V", "offline")
+        async with hearing(broker, "plant/+") as messages:
+            await until(lambda: messages)
+            assert plain(messages[-1][1]) == {"x": 1, "y": 3, "z": 4}
+            await write_all(pump, [offline])
+            await until(lambda: len(messages) == 2)
+            assert plain(messages[-1][1]) == {"x": None, "y": 3, "z": 4}
+            await write_all(pump, poll("a", 4, y=5))
+            await until(lambda: len(messages) == 3)
+            assert plain(messages[-1][1]) == {"y": 5, "z": 4}
 
 
 async def test_polls_above_the_largest_message_are_several(broker: Broker) -> None:
     broker.change("message_size_limit 2000")
     output = Mqtt(broker.url, topic=TOPIC, retain=False, max_message=2000)
     async with pumping(output) as pump:
-        async with hearing(broker, "plant/+") as heard:
-            await written(pump, poll("a", 0, **{f"point_{at}": at for at in range(100)}))
-            await until(lambda: heard and len(heard) == heard[0][1]["parts"])
-        messages = heard_of(heard, "plant/a")
+        async with hearing(broker, "plant/+") as notes:
+            await write_all(pump, poll("a", 0, **{f"point_{at}": at for at in range(100)}))
+            await until(lambda: notes and len(notes) == notes[0][1]["parts"])
+        messages = payloads(notes, "plant/a")
         assert [each["part"] for each in messages] == list(range(1, len(messages) + 1))
         assert sum(len(each["values"]) for each in messages) == 100
 

@@ -47,9 +47,9 @@ async def polled(
 async def test_a_slow_output_loses_the_oldest_and_stops_nobody() -> None:
     output = FakeOutput(next=[1.5], buffer=20)
     fleet = await polled(output, lambda fleet: fleet.statistics.polls > 30)
-    lost = fleet.statistics.outputs["fake"]
-    assert lost.dropped > 10
-    assert len(output.accepted) + lost.dropped == fleet.statistics.readings
+    statistics = fleet.statistics.outputs["fake"]
+    assert statistics.dropped > 10
+    assert len(output.accepted) + statistics.dropped == fleet.statistics.readings
     # Those that were taken before it was slow, and the last ones.
     assert len(output.accepted) <= 3 + 2 * output.buffer
 
@@ -68,10 +68,10 @@ async def test_an_output_that_fails_is_opened_again_and_loses_no_reading(caplog:
     assert statistics.dropped == 0
     assert len(output.accepted) == fleet.statistics.readings
     warned = [each for each in caplog.records if each.levelname == "WARNING"]
-    told = [each.getMessage() for each in warned]
-    assert told.count("fake: no") == 1  # each trouble once
-    assert "fake: a bug" in told
-    assert told.count("fake accepts readings again") == 2
+    messages = [each.getMessage() for each in warned]
+    assert messages.count("fake: no") == 1  # each trouble once
+    assert "fake: a bug" in messages
+    assert messages.count("fake accepts readings again") == 2
 
 
 @pytest.mark.parametrize("error", [OutputError("gone"), SystemError("?"), GeneratorExit()])
@@ -92,14 +92,14 @@ async def test_only_a_permanent_error_of_an_output_ends_the_fleet(error: BaseExc
 async def test_an_iterator_that_is_not_read_loses_the_oldest_readings() -> None:
     async with Peer() as peer:
         fleet = Fleet([meter("a", peer.url, interval=0.02)])
-        kept = fleet.readings(buffer=10)
+        iterator = fleet.readings(buffer=10)
         forgotten = fleet.readings()
         del forgotten
         async with fleet:
-            assert (await anext(kept)).device == "a"
-            await until(lambda: kept.dropped > 20)
-            first = await anext(kept)
-        rest = [first, *[each async for each in kept]]
+            assert (await anext(iterator)).device == "a"
+            await until(lambda: iterator.dropped > 20)
+            first = await anext(iterator)
+        rest = [first, *[each async for each in iterator]]
         assert len(rest) == 10
         assert len(fleet._receivers._iterated) == 1
 

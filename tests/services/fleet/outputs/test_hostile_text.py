@@ -48,9 +48,9 @@ def written(output: LineFile, *readings: Reading) -> None:
 def test_readers_of_csv_get_the_text_back(text: str) -> None:
     for rows in ([[text]], [["a", text, 1, None, 2.5]], [["x"], [text, text], ["y"]]):
         written_text = csv_rows(rows)
-        told = [["" if cell is None else str(cell) for cell in row] for row in rows]
-        if any(row != [""] for row in told):
-            assert list(csv.reader(io.StringIO(written_text, newline=""), strict=True)) == told
+        cells = [["" if cell is None else str(cell) for cell in row] for row in rows]
+        if any(row != [""] for row in cells):
+            assert list(csv.reader(io.StringIO(written_text, newline=""), strict=True)) == cells
         # Control characters are in quotes, whatever a reader takes for the end of a row.
         outside = "".join(written_text.split('"')[::2])
         assert not OBEYED & set(outside)
@@ -65,10 +65,10 @@ def test_the_files_of_fleets_hold_the_text(tmp_path: Path) -> None:
     with (tmp_path / "csv").open(newline="") as file:
         assert [row[3] for row in csv.reader(file, strict=True)][1:] == TEXTS
     written(JsonOutput(str(tmp_path / "json")), *map(reading, TEXTS))
-    told = (tmp_path / "json").read_bytes()
-    lines = told.decode().split("\n")[:-1]
+    data = (tmp_path / "json").read_bytes()
+    lines = data.decode().split("\n")[:-1]
     assert [json.loads(line)["value"] for line in lines] == TEXTS
-    assert not OBEYED & set(told.decode())
+    assert not OBEYED & set(data.decode())
 
 
 def test_text_for_a_terminal_has_no_control_characters() -> None:
@@ -112,13 +112,13 @@ encoding = "latin-1"
         ["poll", "{fleet}", "--once", "--json", "-"],
     ],
 )
-def test_commands_show_it_harmlessly(url: str, tmp_path: Path, words: list[str]) -> None:
+def test_commands_print_no_control_characters(url: str, tmp_path: Path, words: list[str]) -> None:
     fleet = tmp_path / "fleet.toml"
     fleet.write_text(FLEET.format(url=url))
     with on_terminal(*(each.format(url=url, fleet=fleet) for each in words)) as terminal:
-        shown = terminal.read_to_end()
-    assert "5m" in shown
-    assert not OBEYED & set(shown.replace("\r\n", "\n"))
+        text = terminal.read_to_end()
+    assert "5m" in text
+    assert not OBEYED & set(text.replace("\r\n", "\n"))
 
 
 def test_read_writes_csv_that_readers_understand(url: str) -> None:
@@ -126,7 +126,7 @@ def test_read_writes_csv_that_readers_understand(url: str) -> None:
     assert rows[1][1] == f"{HOSTILE}x"
 
 
-def test_messages_show_it_harmlessly(tmp_path: Path) -> None:
-    done = run("read", "127.0.0.1:1", "holding", "0", "--map", tmp_path / "\x1b[31m")
-    assert done.code != 0
-    assert not OBEYED & set(done.err)
+def test_messages_print_hostile_text_without_control_characters(tmp_path: Path) -> None:
+    result = run("read", "127.0.0.1:1", "holding", "0", "--map", tmp_path / "\x1b[31m")
+    assert result.code != 0
+    assert not OBEYED & set(result.err)

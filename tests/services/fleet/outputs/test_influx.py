@@ -30,13 +30,13 @@ class Last(bytes):
     """An answer, behind which the connection is closed."""
 
 
-def answered(status: str, body: bytes = b"", *headers: str) -> bytes:
-    told = "".join(f"{each}\r\n" for each in headers)
-    head = f"HTTP/1.1 {status}\r\nContent-Length: {len(body)}\r\n{told}\r\n"
+def response(status: str, body: bytes = b"", *headers: str) -> bytes:
+    lines = "".join(f"{each}\r\n" for each in headers)
+    head = f"HTTP/1.1 {status}\r\nContent-Length: {len(body)}\r\n{lines}\r\n"
     return head.encode() + body
 
 
-NO_CONTENT = answered("204 No Content")
+NO_CONTENT = response("204 No Content")
 
 
 class Received(NamedTuple):
@@ -80,16 +80,16 @@ class HttpServer:
 
 @asynccontextmanager
 async def serving(answers: Iterable[Answer] = ()) -> AsyncIterator[HttpServer]:
-    made = HttpServer(answers)
-    server = await asyncio.start_server(made.talk, "127.0.0.1", 0)
-    made.url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+    http = HttpServer(answers)
+    server = await asyncio.start_server(http.talk, "127.0.0.1", 0)
+    http.url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}"
     try:
-        yield made
+        yield http
     finally:
         server.close()
-        for task in filter(None, made.talks):
+        for task in filter(None, http.talks):
             task.cancel()
-        await asyncio.gather(*filter(None, made.talks), return_exceptions=True)
+        await asyncio.gather(*filter(None, http.talks), return_exceptions=True)
 
 
 READING = Reading(1_700_000_000.0, "north", "level", 7, "m", "good")
@@ -107,7 +107,7 @@ def write(*answers: Answer, **keys: Any) -> HttpServer:
     return asyncio.run(go())
 
 
-def test_influxdb_1() -> None:
+def test_influxdb_1_gets_a_database_and_a_login() -> None:
     (received,) = write(user="me", password="secret").received
     assert received.line == "POST /write?db=plant&precision=ns"
     login = base64.b64encode(b"me:secret").decode()
@@ -115,7 +115,7 @@ def test_influxdb_1() -> None:
     assert received.body == LINE
 
 
-def test_influxdb_2(tmp_path: Path) -> None:
+def test_influxdb_2_gets_a_bucket_and_a_token(tmp_path: Path) -> None:
     write_secret(tmp_path / "token", "a secret\n")
     token = SecretFile(tmp_path / "token")
     keys = {"database": None, "bucket": "a b", "organization": "plant"}
@@ -127,7 +127,7 @@ def test_influxdb_2(tmp_path: Path) -> None:
     assert received.body == LINE
 
 
-def test_no_credentials() -> None:
+def test_without_credentials_no_login_is_sent() -> None:
     (received,) = write().received
     assert "authorization" not in received.headers
 
@@ -139,32 +139,32 @@ async def test_an_empty_write_asks_nothing() -> None:
 
 
 @each_case(
-    ("answer", "error", "told"),
+    ("answer", "error", "message"),
     [
-        (answered("400 Bad", b'{"error":"partial write"}'), ValueError, "400 .*partial write"),
-        (answered("413 Too Large"), ValueError, "413"),
-        (answered("422 Unprocessable"), ValueError, "422"),
-        (answered("401 Unauthorized", b"who is s3cret?"), OSError, "401 who is \\*\\*\\*\\?$"),
-        (answered("403 Forbidden"), OSError, "403"),
-        (answered("404 Not Found", b"no database"), OSError, "404 no database"),
-        (answered("500 Broken"), OSError, "500"),
-        (answered("503 Busy"), OSError, "503"),
+        (response("400 Bad", b'{"error":"partial write"}'), ValueError, "400 .*partial write"),
+        (response("413 Too Large"), ValueError, "413"),
+        (response("422 Unprocessable"), ValueError, "422"),
+        (response("401 Unauthorized", b"who is s3cret?"), OSError, "401 who is \\*\\*\\*\\?$"),
+        (response("403 Forbidden"), OSError, "403"),
+        (response("404 Not Found", b"no database"), OSError, "404 no database"),
+        (response("500 Broken"), OSError, "500"),
+        (response("503 Busy"), OSError, "503"),
         # Servers that lie, and other programs at this port.
         (
-            answered("200 OK", b"<html>welcome</html>"),
+            response("200 OK", b"<html>welcome</html>"),
             OSError,
             "answered 200 to a write, InfluxDB 204",
         ),
-        (answered("302 Found", b"", "Location: http://192.0.2.9/"), OSError, "302"),
-        (answered("400 Bad", b"\x1b[2Jred"), ValueError, r"400 \\x1b\[2Jred"),
-        (answered("999 What"), OSError, "999"),
+        (response("302 Found", b"", "Location: http://192.0.2.9/"), OSError, "302"),
+        (response("400 Bad", b"\x1b[2Jred"), ValueError, r"400 \\x1b\[2Jred"),
+        (response("999 What"), OSError, "999"),
         (Last(b"SSH-2.0-OpenSSH\r\n"), ConnectionError, None),
         (Last(b"HTTP/1.1 204 No Content\r\nContent-Len"), ConnectionError, None),
         (None, ConnectionError, None),
     ],
 )
-def test_answers_that_do_not_confirm(answer, error, told) -> None:
-    with pytest.raises(error, match=told) as raised:
+def test_answers_that_confirm_nothing_are_errors(answer, error, message) -> None:
+    with pytest.raises(error, match=message) as raised:
         write(answer, token="s3cret", database=None, bucket="b")
     # Only a lost connection may be due to the readings.
     assert isinstance(raised.value, ConnectionError) is (error is ConnectionError)
@@ -194,7 +194,7 @@ def test_bad_keys_are_refused(refused: Refused) -> None:
     refused("refused_influx.txt", lambda keys: Influx(**keys))
 
 
-def test_a_file_of_lines(tmp_path: Path) -> None:
+def test_lines_are_appended_to_a_file(tmp_path: Path) -> None:
     for _ in range(2):
         asyncio.run(outputs.write(Influx(str(tmp_path / "lines"), measurement="plant"), [READING]))
     assert (tmp_path / "lines").read_bytes() == 2 * LINE.replace(b"modbus", b"plant")
@@ -228,9 +228,9 @@ def read(value: Any, name: str = "level", quality: Quality = "good", reason: str
 
 
 def protocol(measurement: str = "modbus", name: str = "north") -> LineProtocol:
-    made = LineProtocol(measurement)
-    made.describe({name: DeviceConfig(name, "tcp://127.0.0.1", MAP)})
-    return made
+    protocol_ = LineProtocol(measurement)
+    protocol_.describe({name: DeviceConfig(name, "tcp://127.0.0.1", MAP)})
+    return protocol_
 
 
 def lines_of(*readings: Reading, **labels: str) -> str:

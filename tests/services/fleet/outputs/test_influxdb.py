@@ -23,10 +23,10 @@ pytestmark = pytest.mark.skipif(bool(missing("influxd")), reason="Debian 13 has 
 def database(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Database]:
     monkeypatch.setattr(tasks, "FIRST_PAUSE_S", 0.01)
     monkeypatch.setattr(tasks, "LONGEST_PAUSE_S", 0.1)
-    made = Database(tmp_path)
-    made.start()
-    yield made
-    made.close()
+    server = Database(tmp_path)
+    server.start()
+    yield server
+    server.close()
 
 
 def write(database: Database, *readings: Reading, **labels: str) -> None:

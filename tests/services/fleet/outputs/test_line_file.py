@@ -29,7 +29,7 @@ def reading(value: Any) -> Reading:
     return Reading(100.0, "a", "level", value, "m", "good")
 
 
-def written(output: Any, *steps: Reading | Callable[[], object]) -> None:
+def write(output: Any, *steps: Reading | Callable[[], object]) -> None:
     """Open an output, write readings and do what stands between them, and close it."""
 
     async def go() -> None:
@@ -74,7 +74,7 @@ class TestOthers:
             if way == "emptied":
                 os.truncate(path, 0)
 
-        written(KINDS[kind](str(path)), reading(1), change, reading(2), reading(3))
+        write(KINDS[kind](str(path)), reading(1), change, reading(2), reading(3))
         assert values(kind, path) == ["2", "3"]
         if old.exists():
             assert values(kind, old) == ["1"]
@@ -85,22 +85,22 @@ class TestOthers:
         output = KINDS[kind](str(folder / "now"))
         away = lambda: folder.rename(tmp_path / "away")  # noqa: E731
         with pytest.raises(FileNotFoundError):
-            written(output, reading(1), away, reading(2))
+            write(output, reading(1), away, reading(2))
         folder.mkdir()
-        written(output, reading(2))
+        write(output, reading(2))
         assert values(kind, folder / "now") == ["2"]
 
     def test_a_file_is_continued_behind_its_last_line(self, tmp_path: Path, kind: str) -> None:
         path = tmp_path / "now"
         for value in (1, 2, 3):
-            written(KINDS[kind](str(path)), reading(value))
+            write(KINDS[kind](str(path)), reading(value))
         assert values(kind, path) == ["1", "2", "3"]
         assert b"\n\n" not in path.read_bytes()
 
     def test_a_closed_file_leaves_no_descriptor_open(self, tmp_path: Path, kind: str) -> None:
         path = tmp_path / "now"
         before = len(os.listdir("/proc/self/fd"))
-        written(KINDS[kind](str(path)), *[reading(1), path.unlink] * 10)
+        write(KINDS[kind](str(path)), *[reading(1), path.unlink] * 10)
         assert len(os.listdir("/proc/self/fd")) == before
 
 
@@ -109,15 +109,15 @@ class TestOthers:
 def test_half_a_line_of_a_crash_is_ended_first(tmp_path: Path, kind: str, value: Any) -> None:
     path = tmp_path / "now"
     path.unlink(missing_ok=True)
-    written(KINDS[kind](str(path)), reading(0))
-    begun = path.stat().st_size
-    written(KINDS[kind](str(path)), reading(value))
+    write(KINDS[kind](str(path)), reading(0))
+    size = path.stat().st_size
+    write(KINDS[kind](str(path)), reading(value))
     whole = path.read_bytes()
-    for cut in range(begun + 1, len(whole)):
+    for cut in range(size + 1, len(whole)):
         if whole[cut - 1 : cut] == b"\n":  # looks like a whole line
             continue
         path.write_bytes(whole[:cut])
-        written(KINDS[kind](str(path)), reading(7))
+        write(KINDS[kind](str(path)), reading(7))
         if kind == "json":
             lines = path.read_bytes().split(b"\n")
             assert [json.loads(lines[at])["value"] for at in (0, -2)] == [0, 7]
@@ -132,7 +132,7 @@ def test_half_a_line_of_a_file_that_cannot_be_read_is_left(tmp_path: Path) -> No
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     with contextlib.closing(os.fdopen(reader, "rb")) as pipe:
-        written(JsonOutput(str(path)), reading(1))
+        write(JsonOutput(str(path)), reading(1))
         assert json.loads(pipe.read())["value"] == 1
 
 
@@ -145,7 +145,7 @@ def test_a_file_that_holds_no_readings_is_left_as_it_is(tmp_path, kind, content)
     path = tmp_path / "theirs"
     path.write_bytes(content)
     with pytest.raises(OSError, match=r"does not begin with .* rename the file") as caught:
-        written(make_output(kind, {"path": str(path)}), reading(1))
+        write(make_output(kind, {"path": str(path)}), reading(1))
     assert path.read_bytes() == content
     assert b"BEGIN" not in str(caught.value).encode()
 
@@ -154,21 +154,21 @@ def test_a_file_that_replaces_the_own_one_is_not_changed(tmp_path: Path) -> None
     path, theirs = tmp_path / "now", tmp_path / "theirs"
     theirs.write_bytes(KEY)
     with pytest.raises(OSError, match="does not begin"):
-        written(CsvOutput(str(path)), reading(1), lambda: theirs.replace(path), reading(2))
+        write(CsvOutput(str(path)), reading(1), lambda: theirs.replace(path), reading(2))
     assert path.read_bytes() == KEY
 
 
 def test_a_file_with_other_columns_is_not_continued(tmp_path: Path) -> None:
     path = tmp_path / "now"
-    written(CsvOutput(str(path)), reading(1))
+    write(CsvOutput(str(path)), reading(1))
     before = path.read_bytes()
     with pytest.raises(OSError, match=r"does not begin with 'time,.*,reason,site'"):
-        written(CsvOutput(str(path), labels=["site"]), reading(2))
+        write(CsvOutput(str(path), labels=["site"]), reading(2))
     assert path.read_bytes() == before
 
 
 def test_a_standard_output_gets_one_header(capfd: pytest.CaptureFixture[str]) -> None:
-    written(CsvOutput("-"), reading(1), reading(2))
+    write(CsvOutput("-"), reading(1), reading(2))
     header, *lines = capfd.readouterr().out.splitlines(keepends=True)
     assert header.encode() == HEADER
     assert [line.split(",")[3] for line in lines] == ["1", "2"]
@@ -195,14 +195,14 @@ def test_a_standard_output_that_does_not_block_is_waited_for(capfd) -> None:
         reading_end, writing_end = os.pipe()
         os.set_blocking(writing_end, False)
         thread = threading.Thread(target=read, daemon=True)
-        kept = os.dup(1)
+        copy = os.dup(1)
         os.dup2(writing_end, 1)
         os.close(writing_end)
         try:
             asyncio.run(go())
         finally:
-            os.dup2(kept, 1)
-            os.close(kept)
+            os.dup2(copy, 1)
+            os.close(copy)
         thread.join()
         os.close(reading_end)
     assert json.loads(received)["value"] == text

@@ -15,24 +15,24 @@ from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.mqtt import DeviceStates, Mqtt
 from libmodbus_py.services.fleet.outputs.topics import Topic
 from tests.services.fleet.fleets import until
-from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish, told
+from tests.services.fleet.outputs.brokers import Broker, hearing, payloads, plain, publish
 from tests.support.cases import each_case
 from tests.support.outputs import pumping
 
 
 async def test_the_status_is_online_while_one_of_two_is_connected(broker: Broker) -> None:
-    async with hearing(broker, "modbus/status") as heard:
+    async with hearing(broker, "modbus/status") as messages:
         first, second = Mqtt(broker.url), Mqtt(broker.url)
         await first.open_output()
         await second.open_output()
-        await until(lambda: len(heard) == 2)
+        await until(lambda: len(messages) == 2)
         # The will of a worker that was killed, and the last word of one that ended.
         await publish(broker, "modbus/status", b"offline", retain=True)
-        await until(lambda: heard_of(heard, "modbus/status")[2:] == ["offline"] + 2 * ["online"])
+        await until(lambda: payloads(messages, "modbus/status")[2:] == ["offline"] + 2 * ["online"])
         await first.close_output()
-        await until(lambda: heard_of(heard, "modbus/status")[5:] == ["offline", "online"])
+        await until(lambda: payloads(messages, "modbus/status")[5:] == ["offline", "online"])
         await second.close_output()
-        await until(lambda: heard_of(heard, "modbus/status")[7:] == ["offline"])
+        await until(lambda: payloads(messages, "modbus/status")[7:] == ["offline"])
 
 
 def reading(device: str, value: object, at: float = 0) -> Reading:
@@ -48,10 +48,10 @@ async def test_last_values_at_which_the_broker_ends_connections_do_not_stop_othe
         await until(lambda: pump.statistics.written == 2)
         broker.settings.append("max_packet_size 400")
         await broker.restart(pump.statistics)
-        async with hearing(broker, "modbus/+/text") as heard:
+        async with hearing(broker, "modbus/+/text") as messages:
             pump.buffer.put_readings([reading("c", 3, 1)])
             await until(lambda: pump.statistics.written == 3)
-            await until(lambda: heard_of(heard, "modbus/c/text"))
+            await until(lambda: payloads(messages, "modbus/c/text"))
     assert "ends connections at last values, which are left out" in caplog.text
 
 
@@ -81,37 +81,37 @@ def poll(device: str, qualities: str, at: float = 0) -> list[Reading]:
     ],
 )
 def test_a_device_answers_while_a_point_of_it_is_read_or_refused(polls, states) -> None:
-    known = DeviceStates(Topic("device_status", TOPIC, ("device",)))
-    found = []
+    device_states = DeviceStates(Topic("device_status", TOPIC, ("device",)))
+    messages = []
     for letters in polls:
         readings = poll("a", letters)
-        changed = known.changed(readings)
-        assert known.changed(readings) == changed  # a write that failed is tried again
-        known.keep_states(changed, readings)
-        found.append(changed["a"][1] if changed else None)
-    assert found == states
+        changed = device_states.changed(readings)
+        assert device_states.changed(readings) == changed  # a write that failed is tried again
+        device_states.keep_states(changed, readings)
+        messages.append(changed["a"][1] if changed else None)
+    assert messages == states
 
 
 def test_a_device_with_another_label_has_another_topic() -> None:
     states = DeviceStates(Topic("device_status", "states/{label.site}/{device}", ("device",)))
-    for site, sent in (
+    for site, messages in (
         ("x", [("states/x/a", b"online")]),
         ("x", []),
         ("y", [("states/x/a", b"offline"), ("states/y/a", b"online")]),
     ):
         labelled = [reading("a", 1)._replace(labels={"site": site})]
         changed = states.changed(labelled)
-        assert [each[:2] for each in states.messages(changed)] == sent
+        assert [each[:2] for each in states.messages(changed)] == messages
         states.keep_states(changed, labelled)
 
 
 def test_removed_devices_take_no_room() -> None:
-    known = DeviceStates(Topic("device_status", TOPIC, ("device",)))
+    states = DeviceStates(Topic("device_status", TOPIC, ("device",)))
     for number in range(100):
         for letters in ("gg", "oo"):
             readings = poll(f"device {number}", letters)
-            known.keep_states(known.changed(readings), readings)
-    assert (known.published, known._answered) == ({}, {})
+            states.keep_states(states.changed(readings), readings)
+    assert (states.published, states._answered) == ({}, {})
 
 
 @pytest.mark.parametrize("qos", [0, 1])
@@ -142,10 +142,10 @@ async def test_retained_messages_are_published_again_after_each_reconnection(
     """Nothing is read again: mosquitto keeps nothing on the disk unless told to."""
 
     async def heard_later() -> dict[str, tuple[Any, bool]]:
-        async with hearing(broker, "#") as heard:
-            await until(lambda: retained.keys() <= {topic for topic, *_ in heard})
-        found = {topic: (told(payload), is_retained) for topic, payload, is_retained in heard}
-        return {topic: found[topic] for topic in retained}
+        async with hearing(broker, "#") as messages:
+            await until(lambda: retained.keys() <= {topic for topic, *_ in messages})
+        values = {topic: (plain(payload), is_retained) for topic, payload, is_retained in messages}
+        return {topic: values[topic] for topic in retained}
 
     async with pumping(Mqtt(broker.url, qos=qos, **options)) as pump:
         for readings in polls:
@@ -159,9 +159,9 @@ async def test_retained_messages_are_published_again_after_each_reconnection(
         await until(lambda: pump.statistics.trouble)
         pump.buffer.put_readings([reading("c", 7, 9)])
         broker.start()
-        found = await heard_later()
+        topics = await heard_later()
         await until(lambda: pump.statistics.written == count + 1)
-    assert {topic: each for topic, (each, _) in found.items()} == retained
+    assert {topic: each for topic, (each, _) in topics.items()} == retained
     assert pump.statistics.dropped == 0
     assert "accepts readings again" in caplog.text
     assert "Traceback" not in caplog.text
@@ -180,15 +180,15 @@ async def test_a_message_on_which_the_broker_disconnects_is_dropped_and_told_by_
 ) -> None:
     caplog.set_level(logging.DEBUG)
     async with (
-        hearing(narrow, "modbus/+/text") as heard,
+        hearing(narrow, "modbus/+/text") as messages,
         pumping(Mqtt(narrow.url, qos=qos)) as pump,
     ):
         pump.buffer.put_readings([reading(*each) for each in (("a", 1, 0), ("b", "x" * 500, 1))])
         pump.buffer.put_readings([reading(*each) for each in (("c", 1, 2), ("b", "y", 3))])
         await until(lambda: pump.statistics.written == 3)
         assert (pump.statistics.dropped, len(pump.buffer)) == (1, 0)
-        await until(lambda: len({topic for topic, *_ in heard}) == 3)
-    assert heard_of(heard, "modbus/b/text")[-1]["value"] == "y"
+        await until(lambda: len({topic for topic, *_ in messages}) == 3)
+    assert payloads(messages, "modbus/b/text")[-1]["value"] == "y"
     logged = [each for each in caplog.records if each.levelno >= logging.INFO]
     # asyncio tells of callbacks that a busy machine makes slow.
     assert {each.name.partition(".")[0] for each in logged} - {"asyncio"} == {"libmodbus_py"}
@@ -205,9 +205,9 @@ async def test_a_connection_is_closed_if_nobody_waits_for_the_broker_any_more() 
         with accepted:
             await loop.sock_recv(accepted, 1000)
             opening.cancel()
-            with pytest.raises(asyncio.CancelledError) as left:  # which keeps all that it names
+            with pytest.raises(asyncio.CancelledError) as caught:  # which keeps all that it names
                 await opening
-            assert left.value
+            assert caught.value
             assert await asyncio.wait_for(loop.sock_recv(accepted, 1), 10) == b""
 
 
@@ -237,7 +237,7 @@ async def test_a_write_that_is_cancelled_publishes_no_longer(broker: Broker) -> 
         await writing
     for _ in range(10):  # turns of the loop
         await asyncio.sleep(0)
-    left = [each for each in asyncio.all_tasks() if "_publish_all" in repr(each)]
+    tasks = [each for each in asyncio.all_tasks() if "_publish_all" in repr(each)]
     broker.send_signal(signal.SIGCONT)
-    assert not left
+    assert not tasks
     await output.close_output()

@@ -7,7 +7,7 @@ from libmodbus_py.fleet import FleetFileError, load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.topics import Levels, Topic
 from tests.services.fleet.fleets import meter, simulated, until
-from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish
+from tests.services.fleet.outputs.brokers import Broker, hearing, payloads, publish
 from tests.support.cases import each_case
 
 LEVELS = Levels(r"[\s.%/]")
@@ -39,18 +39,18 @@ def topic(template: str = TEMPLATE) -> Topic:
 
 
 def test_labels_are_levels() -> None:
-    made = topic()
-    assert made.of({"site": "Halle"}, device="north", name="power") == "plant/Halle/north/power"
-    assert made.of({"site": "a/b+#%"}, device="n/x", name="p") == "plant/a%2Fb%2B%23%25/n%2Fx/p"
-    assert made.filter == "plant/+/+/+"
-    assert made.read("plant/Halle/north/power") == {"device": "north", "name": "power"}
-    assert made.read("plant/Halle/n%6Frth/power") is None
-    assert made.read("plant/Halle/north") is None
+    template = topic()
+    assert template.of({"site": "Halle"}, device="north", name="power") == "plant/Halle/north/power"
+    assert template.of({"site": "a/b+#%"}, device="n/x", name="p") == "plant/a%2Fb%2B%23%25/n%2Fx/p"
+    assert template.filter == "plant/+/+/+"
+    assert template.read("plant/Halle/north/power") == {"device": "north", "name": "power"}
+    assert template.read("plant/Halle/n%6Frth/power") is None
+    assert template.read("plant/Halle/north") is None
 
 
 def test_a_label_may_be_part_of_a_level() -> None:
-    made = topic("site-{label.the site}/{device}/{name}")
-    assert made.of({"the site": "1"}, device="a", name="b") == "site-1/a/b"
+    template = topic("site-{label.the site}/{device}/{name}")
+    assert template.of({"the site": "1"}, device="a", name="b") == "site-1/a/b"
 
 
 def test_a_device_that_was_removed_has_no_labels() -> None:
@@ -79,8 +79,8 @@ def test_a_device_without_the_label_is_told_when_the_file_is_read(labels, tmp_pa
     file.write_text(FLEET.replace("LABELS", labels))
     with pytest.raises(FleetFileError) as raised:
         load(file)
-    said = "output.mqtt.topic: {label.site}: the device 'south' has no label 'site'"
-    assert said in str(raised.value)
+    message = "output.mqtt.topic: {label.site}: the device 'south' has no label 'site'"
+    assert message in str(raised.value)
     line = FLEET.splitlines().index('topic = "plant/{label.site}/{device}/{name}"') + 1
     assert str(raised.value).startswith(f"{file}, line {line}: ")
 
@@ -121,14 +121,14 @@ async def test_a_command_goes_to_the_own_topic_of_a_point_only(
         states = "states/{label.site}/{device}"
         output = Mqtt(broker.url, topic=template, device_status=states, status="", commands=True)
         north = meter("north", served.urls[0], labels={"site": "Halle 1"})
-        async with hearing(broker, "#") as heard, Fleet([north], outputs=[output]):
-            await until(lambda: heard_of(heard, reading))
-            await until(lambda: heard_of(heard, "states/Halle 1/north") == ["online"])
+        async with hearing(broker, "#") as messages, Fleet([north], outputs=[output]):
+            await until(lambda: payloads(messages, reading))
+            await until(lambda: payloads(messages, "states/Halle 1/north") == ["online"])
             await publish(broker, other, b"25")
             await publish(broker, own, b"21")
-            await until(lambda: any(topic.endswith("/result") for topic, *_ in heard))
+            await until(lambda: any(topic.endswith("/result") for topic, *_ in messages))
             [(topic, outcome)] = [
-                (topic, outcome) for topic, outcome, _ in heard if topic.endswith("/result")
+                (topic, outcome) for topic, outcome, _ in messages if topic.endswith("/result")
             ]
             assert (topic, outcome["ok"]) == (f"{own}/result", True)
             assert device.mapping.holding_registers[2] == 21

@@ -19,7 +19,7 @@ from tests.services.fleet.fleets import Peer, in_simulated_time, meter, simulate
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
 from tests.support.cases import each_case
-from tests.support.outputs import FakeOutput, pumped, pumping, reading
+from tests.support.outputs import FakeOutput, pump_all, pumping, reading
 
 LOST = ConnectionError("the connection was lost")
 
@@ -37,7 +37,7 @@ def polls(devices: str, first: int = 0) -> list[Reading]:
     ]
 
 
-async def ended(pump: Pump) -> None:
+async def end_of(pump: Pump) -> None:
     await until(lambda: not pump.buffer)
 
 
@@ -47,13 +47,13 @@ def played(output: FakeOutput, play: Callable[[Pump], Awaitable[object]]) -> Out
     async def go() -> OutputStatistics:
         async with pumping(output) as pump:
             await play(pump)
-            await ended(pump)
+            await end_of(pump)
         return pump.statistics
 
     return simulated_run(go())
 
 
-def written(output: FakeOutput, devices: str, later: str = "") -> OutputStatistics:
+def write_all(output: FakeOutput, devices: str, later: str = "") -> OutputStatistics:
     """Write polls until none waits or one is refused, then `later`; return the counts."""
 
     async def play(pump: Pump) -> None:
@@ -66,7 +66,7 @@ def written(output: FakeOutput, devices: str, later: str = "") -> OutputStatisti
 
 def test_a_poll_that_can_never_be_written_is_dropped_and_the_others_are_written(caplog) -> None:
     output = FakeOutput(refused=("b", "d"))
-    statistics = written(output, "abcde")
+    statistics = write_all(output, "abcde")
     assert [each.device for each in output.accepted] == list("aaccee")
     assert (statistics.dropped, statistics.written) == (4, 6)
     assert errors(caplog) == [f"fake: 2 readings of {each} are dropped: too long" for each in "bd"]
@@ -91,14 +91,14 @@ def test_an_output_that_raises_when_closed_is_opened_again() -> None:
             raise RuntimeError("a bug")
 
     output = Clumsy(refused=("b",))
-    assert written(output, "abc").dropped == 2
+    assert write_all(output, "abc").dropped == 2
     assert [each.device for each in output.accepted] == list("aacc")
 
 
 def test_a_poll_is_never_divided_by_the_buffer() -> None:
     output = FakeOutput()
     simulated_run(
-        pumped(output, [reading(device, f"{at}") for device in "abc" for at in range(1200)])
+        pump_all(output, [reading(device, f"{at}") for device in "abc" for at in range(1200)])
     )
     assert {len(batch) % 1200 for batch in output.batches} == {0}
     assert len(output.accepted) == 3600
@@ -129,7 +129,7 @@ async def test_once_waits_for_a_slow_output_and_ends_after_a_failure(is_gone, co
 )
 def test_a_refused_poll_is_dropped_and_all_others_are_written(devices: str, refused: str) -> None:
     output = FakeOutput(refused=refused, error=LOST)
-    statistics = written(output, devices, later="ab")
+    statistics = write_all(output, devices, later="ab")
     good = [each for each in polls(devices) if each.device not in refused]
     assert statistics.dropped == len(polls(devices)) - len(good)
     assert statistics.written == len(good) + 4
@@ -137,7 +137,7 @@ def test_a_refused_poll_is_dropped_and_all_others_are_written(devices: str, refu
 
 
 def test_a_poll_that_is_dropped_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
-    written(FakeOutput(refused="b", error=LOST), "abc")
+    write_all(FakeOutput(refused="b", error=LOST), "abc")
     assert errors(caplog) == [
         "fake: 2 readings of b are dropped: others were accepted and these were not,"
         " several times: the connection was lost"
@@ -151,7 +151,7 @@ def test_an_output_of_one_device_writes_its_later_polls() -> None:
             await super().write_readings(readings)
 
     output = OnePoll(error=LOST)
-    assert written(output, "aaaa").dropped == 2
+    assert write_all(output, "aaaa").dropped == 2
     assert [each.value for each in output.accepted][-4:] == [2, 2, 3, 3]
 
 
@@ -159,7 +159,7 @@ def test_an_output_of_one_device_writes_its_later_polls() -> None:
 def test_an_output_that_was_away_gets_all_readings_and_the_newest_last(away: int) -> None:
     every = polls("abcabcab")
     output = FakeOutput(next=[LOST] * away)
-    statistics = written(output, "abcabcab")
+    statistics = write_all(output, "abcabcab")
     assert (statistics.dropped, statistics.written) == (0, 16)
     assert {*map(str, output.accepted)} == {*map(str, every)}
     newest = {each.device: each.value for each in output.accepted}
@@ -186,7 +186,7 @@ async def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
         pump.buffer.put_readings(polls("x"))
         await until(lambda: output.failed > 3)
         pump.buffer.put_readings(polls("bcd"))
-        await ended(pump)
+        await end_of(pump)
     assert {each.device for each in output.accepted} <= set("bcd")
     assert pump.statistics.written + pump.statistics.dropped == 8
     assert pump.statistics.written >= 4
@@ -199,7 +199,7 @@ def test_a_loss_after_a_refused_poll_drops_nothing() -> None:
     async def play(pump: Pump) -> None:
         pump.buffer.put_readings(polls("abc"))
         await until(lambda: pump.statistics.dropped)
-        await ended(pump)
+        await end_of(pump)
         output.next = [LOST, LOST]
         pump.buffer.put_readings(polls("ac", first=3))
 
@@ -216,11 +216,11 @@ def test_a_device_that_is_refused_again_costs_few_connections_and_no_time(device
 
     async def play(pump: Pump) -> None:
         for at in range(20):
-            before, begun = output.failed, asyncio.get_running_loop().time()
+            before, start = output.failed, asyncio.get_running_loop().time()
             pump.buffer.put_readings([reading(device, "one", 1, 100.0 + at) for device in devices])
             await until(lambda at=at: pump.statistics.dropped == at + 1 and not pump.buffer)
             failed.append(output.failed - before)
-            took.append(asyncio.get_running_loop().time() - begun)
+            took.append(asyncio.get_running_loop().time() - start)
 
     assert played(output, play).written == 20 * (len(devices) - 1)
     assert failed[0] <= 6
@@ -237,7 +237,7 @@ def test_a_device_that_is_accepted_again_is_believed_again() -> None:
         await until(lambda: pump.statistics.dropped)
         output.refused = ""
         pump.buffer.put_readings(polls("abc", first=3))
-        await ended(pump)
+        await end_of(pump)
         output.refused = "b"
         pump.buffer.put_readings(polls("abc", first=6))
         await until(lambda: output.failed > 6)
@@ -254,10 +254,10 @@ class Denied(Stream):
         await super().open_output()
         publish = self._js.publish_async
 
-        async def denying(subject: str, *given: Any, **named: Any) -> Any:
+        async def denying(subject: str, *arguments: Any, **options: Any) -> Any:
             if subject.endswith(".x"):
                 return asyncio.get_running_loop().create_future()
-            return await publish(subject, *given, **named)
+            return await publish(subject, *arguments, **options)
 
         cast(Any, self._js).publish_async = denying
 
@@ -271,7 +271,7 @@ def test_a_poll_that_nats_denies_or_finds_too_large_holds_up_no_others(kind, val
         client = engine.client()
         client.max_payload = 2000
         readings = [reading("a", "one"), reading("x", "one", value, 101.0), reading("b", "one")]
-        pump = await pumped(kind(cast(Any, client), {}), readings)
+        pump = await pump_all(kind(cast(Any, client), {}), readings)
         await client.close()
         return pump.statistics
 

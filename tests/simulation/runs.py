@@ -11,36 +11,36 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .casts import CASTS
 from .events import START, Events
 from .rules import Broken
+from .scenarios import SCENARIOS
 from .world import FAULTS, Options, World
 
 # Seconds between two requests of a client, on average, and how long they go on: from a rush to a
 # quiet night.
-TEMPI = ((0.01, 20.0), (0.1, 60.0), (1.0, 60.0), (30.0, 4 * 3600.0))
+PAUSES = ((0.01, 20.0), (0.1, 60.0), (1.0, 60.0), (30.0, 4 * 3600.0))
 
 # Workers look at their clocks all the time, and others talk, so an hour of theirs takes long.
 LONGEST = {"fleet": 60.0, "workers": 300.0, "busy line": 120.0, "odd hosts": 60.0}
 
 
 BY_NAME = ("plant",)
-"""Casts that are played when they are named."""
+"""Scenarios that are played when they are named."""
 
 
-def chosen(seed: int) -> Options:
+def options_of(seed: int) -> Options:
     """Return the run that a seed stands for."""
     choice = random.Random(seed)
-    cast = choice.choice([cast for cast in CASTS if cast not in BY_NAME])
-    pause, seconds = choice.choice(TEMPI)
+    scenario = choice.choice([scenario for scenario in SCENARIOS if scenario not in BY_NAME])
+    pause, seconds = choice.choice(PAUSES)
     return Options(
         seed,
-        cast,
+        scenario,
         clients=choice.randint(1, 6),
         units=choice.randint(1, 12),
         faults=tuple(fault for fault in FAULTS[:-1] if choice.random() < 0.6),
         pause=pause,
-        seconds=min(seconds, LONGEST.get(cast, seconds)),
+        seconds=min(seconds, LONGEST.get(scenario, seconds)),
     )
 
 
@@ -67,10 +67,10 @@ class Exchange:
 
     def raw(self) -> Iterator[str]:
         """Return a line for each piece: the time, the place, who sent it, and its bytes."""
-        for sent in self._sent:
-            arrow = "->" if sent.is_client else "<-"
-            where = f"{sent.place} {sent.connection}" if sent.connection else sent.place
-            yield f"{sent.at:10.4f}  {where:24} {arrow} {sent.data.hex(' ')}"
+        for message in self._sent:
+            arrow = "->" if message.is_client else "<-"
+            where = f"{message.place} {message.connection}" if message.connection else message.place
+            yield f"{message.at:10.4f}  {where:24} {arrow} {message.data.hex(' ')}"
 
 
 @dataclass
@@ -87,21 +87,21 @@ class Failure:
         return self.error.rule if isinstance(self.error, Broken) else type(self.error).__name__
 
 
-def recorded() -> list[Options]:
+def seed_options() -> list[Options]:
     """Return the runs that failed once, oldest first."""
-    found = json.loads(Path(__file__).with_name("seeds.json").read_text())
-    return [Options(**{**each["run"], "faults": tuple(each["run"]["faults"])}) for each in found]
+    seeds = json.loads(Path(__file__).with_name("seeds.json").read_text())
+    return [Options(**{**each["run"], "faults": tuple(each["run"]["faults"])}) for each in seeds]
 
 
 def play(options: Options) -> World:
-    """Run a cast to its end."""
+    """Run a scenario to its end."""
     world = World(options)
     _run(world)
     return world
 
 
-def tried(options: Options, lines: list[str] | None = None) -> Failure | World:
-    """Run a cast; return how it failed, or the world at its end. `lines` get what was said last."""
+def run_or_failure(options: Options, lines: list[str] | None = None) -> Failure | World:
+    """Run a scenario; return how it failed, or the world at its end. `lines` get what was last."""
     world = World(options)
     exchange = Exchange(world.events)
     world.network.tap = exchange.tell
@@ -115,16 +115,16 @@ def tried(options: Options, lines: list[str] | None = None) -> Failure | World:
     return world
 
 
-def shortest(failure: Failure, seconds: float = 10.0) -> Failure:
+def shortest_options(failure: Failure, seconds: float = 10.0) -> Failure:
     """Make a run smaller as long as it fails in the same way; so many seconds long at most."""
     until = time.monotonic() + seconds
     is_smaller = True
     while is_smaller and time.monotonic() < until:
         is_smaller = False
         for options in _smaller(failure.options):
-            found = tried(options)
-            if isinstance(found, Failure) and found.rule == failure.rule:
-                failure, is_smaller = found, True
+            outcome = run_or_failure(options)
+            if isinstance(outcome, Failure) and outcome.rule == failure.rule:
+                failure, is_smaller = outcome, True
                 break
     return failure
 
@@ -141,22 +141,22 @@ def _smaller(options: Options) -> Iterator[Options]:
 
 
 def _run(world: World) -> None:
-    world.events.looks.append(world.witness.look)
+    world.events.looks.append(world.checker.look)
     tap = world.network.tap
-    told = world.wire.tell
-    world.network.tap = told if tap is None else partial(_both, tap, told)
-    made = CASTS[world.options.cast]
+    tell = world.wire.tell
+    world.network.tap = tell if tap is None else partial(_both, tap, tell)
+    scenario = SCENARIOS[world.options.scenario]
     state = random.getstate()
     random.seed(world.options.seed)  # of the pauses before connecting again
     try:
-        if inspect.iscoroutinefunction(made):
-            world.network.run(partial(made, world))
+        if inspect.iscoroutinefunction(scenario):
+            world.network.run(partial(scenario, world))
         else:
             with world.network.installed():
-                made(world)
+                scenario(world)
     finally:
         random.setstate(state)
-    world.witness.look()
+    world.checker.look()
 
 
 def _both(one: Callable[..., object], other: Callable[..., object], *args: Any) -> None:

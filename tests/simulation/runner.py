@@ -10,7 +10,7 @@ from .network import Network
 Test = Callable[..., Coroutine[Any, Any, None]]
 
 
-def giving(run: Callable[[Test], None], count: int = 1) -> Callable[[Test], Callable[..., None]]:
+def runner_of(run: Callable[[Test], None], count: int = 1) -> Callable[[Test], Callable[..., None]]:
     """
     Return a decorator of tests. `run`: calls what it is given with what it has made, and runs the
     coroutine to its end; `count`: of the arguments with which `run` calls it; all further ones are
@@ -29,5 +29,5 @@ def giving(run: Callable[[Test], None], count: int = 1) -> Callable[[Test], Call
     return decorate
 
 
-simulated = giving(lambda test: Network().run(test), count=0)
+simulated = runner_of(lambda test: Network().run(test), count=0)
 """Run a test in simulated time; it is given nothing but its fixtures."""

@@ -27,7 +27,7 @@ ASCII = "ascii:///dev/nowhere"
 LOST = ModbusConnectionError("closed by the other side", errno=104)
 
 
-class Talk:
+class Driver:
     """
     What a driver does, with a clock that the test moves. `url`: whose connection; nothing is
     opened. The line has been open for long; `is_new` for one that was just opened; `after`: another
@@ -42,15 +42,15 @@ class Talk:
         *,
         is_open: bool = True,
         is_new: bool = False,
-        after: Talk | None = None,
+        after: Driver | None = None,
         **options: Any,
     ) -> None:
         if after is None:
             forget_lines()
         endpoint = parse(url)
         most = 16 if endpoint.framing in ("tcp", "udp") else 1
-        given = {"max_in_flight": most, **options}
-        self.settings = checked_options(endpoint, given)
+        settings = {"max_in_flight": most, **options}
+        self.settings = checked_options(endpoint, settings)
         port = make_port(endpoint, self.settings)
         self.is_udp = endpoint.scheme == "udp"
         self.connection = Transactions(endpoint, self.settings, port)
@@ -231,7 +231,7 @@ def ascii_frame(body: str, end: bytes = b"\r\n") -> bytes:
 
 
 @contextlib.contextmanager
-def little_kept() -> Iterator[None]:
+def small_memory() -> Iterator[None]:
     """Check that the block keeps 64 KiB of memory at most."""
     tracemalloc = pytest.importorskip("tracemalloc", reason="PyPy does not measure memory")
     tracemalloc.start()

@@ -36,7 +36,7 @@ DESCRIPTORS = 20_000  # what a process of the simulated machine may have open, w
 PATIENCE = 3600.0  # simulated seconds that a test waits for what is to come
 
 
-class Stage(Network):
+class Lan(Network):
     """
     A network, and the event loop of all that serves there; blocking clients wait in it, too.
 
@@ -68,10 +68,10 @@ class Stage(Network):
     def __exit__(self, *raised: Any) -> None:
         with self._stack:
             self.pass_time(0)
-            left = cancel_all(self._loop)
+            tasks = cancel_all(self._loop)
         if raised[0] is None:
             assert not self._complaints, self._complaints
-            assert not left, left
+            assert not tasks, tasks
 
     @property
     def now(self) -> float:
@@ -109,7 +109,7 @@ class Stage(Network):
         return SimpleNamespace(exists=lambda path: path not in self.missing, realpath=str)
 
     def waker(self) -> MemoryWaker:
-        return _StageWaker(self)
+        return _LanWaker(self)
 
     # --- who serves, who connects ---------------------------------------------------------------
 
@@ -125,49 +125,47 @@ class Stage(Network):
         else:
             self.wait(entered.__aexit__(None, None, None))
 
-    def talk(
+    def client(
         self, target: str | int, source: str | None = None, *, timeout: float = PATIENCE
-    ) -> Talker:
-        """
-        Connect to a URL, or to a port of 127.0.0.1; over UDP, be ready to send datagrams there.
-        """
+    ) -> LanClient:
+        """Connect to a URL, or to a port of 127.0.0.1; over UDP, be ready to send there."""
         endpoint = parse(f"tcp://127.0.0.1:{target}" if isinstance(target, int) else target)
         is_udp = endpoint.transport == "udp"
         opened = self.open_datagrams if is_udp else self.connect
         end, _ = opened(endpoint.host, endpoint.port, source)
         assert end is not None
-        made = Talker(self, end, timeout)
-        made.wait_to_write()
+        talker = LanClient(self, end, timeout)
+        talker.wait_to_write()
         if number := end.getsockopt(0, 0):
             end.close()
             raise OSError(number, f"{target}: {errno.errorcode[number]}")
-        return made
+        return talker
 
 
-class _StageWaker(MemoryWaker):
-    """Waits in the loop of the stage, so that servers answer meanwhile."""
+class _LanWaker(MemoryWaker):
+    """Waits in the loop of the LAN, so that servers answer meanwhile."""
 
-    def __init__(self, stage: Stage) -> None:
-        super().__init__(stage.events, stage.descriptors)
-        self._stage = stage
+    def __init__(self, lan: Lan) -> None:
+        super().__init__(lan.events, lan.descriptors)
+        self._lan = lan
 
     def _wait(self, descriptor: int, events: int, most: int) -> bool:
-        self._stage.until(lambda: self._is_woken or self._is_any(descriptor, events), most / 1000)
+        self._lan.until(lambda: self._is_woken or self._is_any(descriptor, events), most / 1000)
         if self._is_woken:
             raise Woken
         return self._is_any(descriptor, events)
 
     def _sleep(self, seconds: float) -> None:
-        self._stage.pass_time(max(0.0, seconds))
+        self._lan.pass_time(max(0.0, seconds))
 
 
-class Talker:
+class LanClient:
     """A client that writes and reads what it likes, with the face of a blocking `socket.socket`."""
 
-    def __init__(self, stage: Stage, end: MemorySocket, timeout: float) -> None:
+    def __init__(self, lan: Lan, end: MemorySocket, timeout: float) -> None:
         self.end: MemorySocket = end
         self.timeout: float = timeout
-        self._stage = stage
+        self._lan = lan
         self._resets = False
 
     def __enter__(self) -> Self:
@@ -186,7 +184,7 @@ class Talker:
             view = view[self.send(bytes(view)) :]
 
     def recv(self, size: int, flags: int = 0) -> bytes:
-        if not self._stage.until(lambda: self.end.is_readable, self.timeout):
+        if not self._lan.until(lambda: self.end.is_readable, self.timeout):
             raise TimeoutError("timed out")
         return self.end.recv(size, flags)
 
@@ -203,7 +201,7 @@ class Talker:
 
     def can_write(self) -> bool:
         """Return True if the other side takes something now."""
-        return self.end.fileno() in self._stage.descriptors.writable
+        return self.end.fileno() in self._lan.descriptors.writable
 
     def is_closed(self) -> bool:
         """Wait until the other side has closed; return False if bytes come in place of that."""
@@ -213,7 +211,7 @@ class Talker:
             return True
 
     def wait_to_write(self) -> None:
-        if not self._stage.until(self.can_write, self.timeout):
+        if not self._lan.until(self.can_write, self.timeout):
             raise TimeoutError("timed out")
 
     def settimeout(self, seconds: float | None) -> None:

@@ -1,4 +1,4 @@
-"""A server on a stage, and the requests that tests of its limits send there."""
+"""A server on a LAN, and the requests that tests of its limits send there."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,7 +8,7 @@ from typing import Any, Self
 from libmodbus_py import Access, Device, Fault, Gateway, Mapping, Route, Server, framing
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server.limits import Limits
-from tests.simulation.stage import Stage, Talker
+from tests.simulation.lan import Lan, LanClient
 from tests.support import certificates
 from tests.support.attacks import READ_ONE, adu
 from tests.support.certificates import lasting_pki
@@ -33,17 +33,17 @@ OTHER = "10.255.0.2"  # the address of a client that is another one than the usu
 ROUND_TRIP = 0.001
 
 
-class SealedTalker:
+class SealedClient:
     """
-    A client over TLS, with the face of a `Talker`; a server that closes must say goodbye.
+    A client over TLS, with the face of a `LanClient`; a server that closes must say goodbye.
 
     TLS 1.2, where nothing comes between the handshake and the first answer.
     """
 
-    def __init__(self, stage: Stage, port: int, source: str | None) -> None:
-        told = context(lasting_pki(), certificates.client(), VERSIONS["1.2"])
-        self._client = TlsClient(port, told, source=source or "", stage=stage)
-        self._talker: Talker = self._client.socket
+    def __init__(self, lan: Lan, port: int, source: str | None) -> None:
+        context_ = context(lasting_pki(), certificates.client(), VERSIONS["1.2"])
+        self._client = TlsClient(port, context_, source=source or "", lan=lan)
+        self._talker: LanClient = self._client.socket
         self._client.handshake()
 
     def __enter__(self) -> Self:
@@ -69,42 +69,42 @@ class SealedTalker:
         return self._client.read(1) == b""
 
 
-class Served:
+class LanServer:
     """
-    A server on a stage. `statistics`: what it counts; `url`: where it listens; `place` the same as
+    A server on a LAN. `statistics`: what it counts; `url`: where it listens; `place` the same as
     a host and a port.
     """
 
-    def __init__(self, stage: Stage, server: Server, url: str) -> None:
+    def __init__(self, lan: Lan, server: Server, url: str) -> None:
         self.statistics = server.statistics
         self.url = url
         self.place = (parse(url).host, parse(url).port)
-        self._stage = stage
+        self._lan = lan
 
     def connect(self, source: str | None = None) -> Any:
-        """Return a `Talker`, or a `SealedTalker`."""
+        """Return a `LanClient`, or a `SealedClient`."""
         endpoint = parse(self.url)
         if endpoint.scheme == "tls":
-            return SealedTalker(self._stage, endpoint.port, source)
-        return self._stage.talk(self.url, source)
+            return SealedClient(self._lan, endpoint.port, source)
+        return self._lan.client(self.url, source)
 
     def refuses(self, source: str | None = None) -> bool:
         """Return True if a new connection is closed before it says anything."""
-        return self._stage.talk(self.url, source).is_closed()
+        return self._lan.client(self.url, source).is_closed()
 
-    def counts(self, **expected: int) -> bool:
+    def counts(self, **numbers: int) -> bool:
         """Assert what it has counted of that, when all that was sent has arrived."""
-        self._stage.pass_time(ROUND_TRIP)
+        self._lan.pass_time(ROUND_TRIP)
         counted = asdict(self.statistics)
-        found = {name: counted[name] for name in expected}
-        assert found == expected, f"{found} in place of {expected}"
+        values = {name: counted[name] for name in numbers}
+        assert values == numbers, f"{values} in place of {numbers}"
         return True
 
 
 @contextmanager
-def served(
-    stage: Stage, kind: str = "plain", scheme: str = "tcp", *, faults: Any = None, **limits: Any
-) -> Iterator[Served]:
+def server_on(
+    lan: Lan, kind: str = "plain", scheme: str = "tcp", *, faults: Any = None, **limits: Any
+) -> Iterator[LanServer]:
     mapping = Mapping(holding_registers=125)
     device = Device(mapping, before_read=(lambda access: None) if kind == "hooked" else None)
     faults = {None: [NEVER]} if kind == "faulty" else faults
@@ -114,7 +114,7 @@ def served(
         url, security = "tls://127.0.0.1:0", lasting_pki().server()
     server = Server({17: device}, faults=faults, limits=Limits(**limits), security=security)
     with server.background(url) as running:
-        yield Served(stage, server, running.urls[0])
+        yield LanServer(lan, server, running.urls[0])
 
 
 @contextmanager
@@ -122,7 +122,7 @@ def unit_one(
     url: str, *, is_gateway: bool = False, **settings: Any
 ) -> Iterator[tuple[Any, list[Access]]]:
     """
-    Serve unit 1 from a device, or through a gateway on the stage. `settings`: of the server. Yields
+    Serve unit 1 from a device, or through a gateway on the LAN. `settings`: of the server. Yields
     what serves there, and all that is written, oldest first.
     """
     writes: list[Access] = []
@@ -137,7 +137,7 @@ def unit_one(
         yield gateway, writes
 
 
-def ask(client: Talker | SealedTalker, transaction: int = 1) -> None:
+def ask(client: LanClient | SealedClient, transaction: int = 1) -> None:
     """Send a request, and take its answer."""
     client.sendall(adu(READ_ONE, transaction))
     assert client.receive(ONE_ANSWER) == adu(ANSWER_ONE, transaction)

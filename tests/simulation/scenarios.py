@@ -1,4 +1,4 @@
-"""Casts of a simulated world: who asks whom, over what, and what goes wrong."""
+"""Scenarios of a simulated world: who asks whom, over what, and what goes wrong."""
 
 import asyncio
 import contextlib
@@ -28,17 +28,17 @@ async def _play(world: World, asks: Sequence[Ask], numbers: range) -> None:
 
 async def _serve_all(world: World, asks: Sequence[Ask], numbers: range) -> None:
     """End all faults; then each call must succeed."""
-    witness = world.witness
+    checker = world.checker
     world.calm()
     await asyncio.sleep(SETTLING)
-    failed = witness.failed
+    failed = checker.failed
     for ask in asks:
         for number in numbers:
             await ask(number)
-            witness.late()
-            if witness.failed > failed:
-                witness.fail("everybody is served when the faults are over", f"unit {number}")
-                witness.look()
+            checker.late()
+            if checker.failed > failed:
+                checker.fail("everybody is served when the faults are over", f"unit {number}")
+                checker.look()
 
 
 async def _direct(world: World, url: str, numbers: range, timeout: float, most: int) -> None:
@@ -123,13 +123,13 @@ async def _past_silent_unit(world: World) -> None:
         place = world.host("tcp://10.0.0.1", numbers, timeout)
         url = f"{place}?timeout={timeout}&max_in_flight=16"
     world.units[0].behaviour = replace(world.units[0].behaviour, silent=1.0)
-    world.witness.resting[1] = Rest(timeout)
+    world.checker.resting[1] = Rest(timeout)
     gateway = Gateway([Route(url, numbers)])
     async with asking_gateway(world, gateway, options.clients, 5.0) as asks:
         await _play(world, asks, numbers)
 
 
-async def _crowd(world: World) -> None:
+async def _many_clients(world: World) -> None:
     """A gateway that all ask at once: one host with many clients, others with one each."""
     options = replace(world.options, faults=(), units=3, seconds=5.0, pause=0.001)
     world.options = options
@@ -158,10 +158,10 @@ def _workers(world: World) -> None:
         workers.run(random.uniform(0.5, 20))
         _disturb(random, workers)
         if workers.doubles:
-            world.witness.fail("no device is asked by two", workers.doubles[0])
+            world.checker.fail("no device is asked by two", workers.doubles[0])
             return
         if workers.overslept:
-            world.witness.fail("a worker knows when to decide", workers.overslept[0])
+            world.checker.fail("a worker knows when to decide", workers.overslept[0])
             return
     world.events.now += world.options.seconds
 
@@ -189,7 +189,7 @@ def _look_at_gateway(world: World, gateway: Gateway) -> None:
     for line in gateway.traffic.lines.values():
         if line.waiting or line.in_flight:
             text = f"{line.waiting} wait, {line.in_flight} are in flight"
-            world.witness.fail("nothing is left waiting", text)
+            world.checker.fail("nothing is left waiting", text)
 
 
 def _blocking(world: World) -> None:
@@ -204,7 +204,7 @@ def _blocking(world: World) -> None:
     retries = world.random.choice([0, 2])
     # poll counts milliseconds, for each attempt anew.
     limit = ((timeout if kind == "tcp" else 5 * timeout) + 0.001) * (1 + retries)
-    witness, until = world.witness, world.events.now + world.options.seconds
+    checker, until = world.checker, world.events.now + world.options.seconds
     context = Client(url, timeout=timeout, retries=retries)
     with contextlib.closing(context):
         sleep = world.network.waker().sleep
@@ -216,14 +216,14 @@ def _blocking(world: World) -> None:
         # What came meanwhile is read with the next request, and the silence counts from then on.
         world.ask_blocking(context, world.call(numbers[0], limit))
         sleep(SETTLING)
-        failed = witness.failed
+        failed = checker.failed
         for number in numbers:
             world.ask_blocking(context, world.call(number, limit))
-        if witness.failed > failed:
-            witness.fail("everybody is served when the faults are over", str(numbers))
+        if checker.failed > failed:
+            checker.fail("everybody is served when the faults are over", str(numbers))
 
 
-CASTS: dict[str, Callable[[World], Any]] = {
+SCENARIOS: dict[str, Callable[[World], Any]] = {
     "tcp": _on_tcp,
     "line": _on_line,
     "rtu+tcp": _on_rtu_over_tcp,
@@ -234,7 +234,7 @@ CASTS: dict[str, Callable[[World], Any]] = {
     "new clients": with_new_clients,
     "around writes": around_writes,
     "odd hosts": of_odd_hosts,
-    "crowd": _crowd,
+    "many clients": _many_clients,
     "workers": _workers,
     "fleet": fleet,
     "plant": plant,
