@@ -12,65 +12,30 @@ import libmodbus_py
 from libmodbus_py import (
     Client,
     Device,
-    Fault,
-    Gateway,
-    Hook,
     IllegalDataAddress,
     Limits,
     Mapping,
-    Plan,
-    Point,
     Read,
     Route,
-    RtuContext,
-    Security,
     Server,
     TcpContext,
 )
-from libmodbus_py.fleet import DeviceConfig, Fleet
 from libmodbus_py.listen import listen
 from libmodbus_py.protocol.mistakes import named_arguments
 from libmodbus_py.scan import scan, search
-from libmodbus_py.serve import Allow, AuditFile
 from tests.support.cases import each_case
 from tests.support.commands import run
+from tests.support.golden import Refused
 
 URL = "tcp://192.0.2.10"
 DEVICE = Device(Mapping(holding_registers=9, input_registers=9, discrete_inputs=9))
 
 
-@each_case(
-    ("make", "name", "close"),
-    [
-        (Server, "fault", "faults"),
-        (Gateway, "write_first", "writes_first"),
-        (Route, "unit", "units"),
-        (Device, "identity", "identification"),
-        (Device, "befor_write", "before_write"),
-        (Mapping, "coil", "coils"),
-        (Hook, "holding_register", "holding_registers"),
-        (Security, "certfile", "certificate"),
-        (Security, "keyfile", "key"),
-        (Limits, "max_clients", "max_connections"),
-        (Allow, "function", "functions"),
-        (Fault, "second", "seconds"),
-        (Point, "data_type", "type"),
-        (Read, "byteorder", "order"),
-        (Plan, "gaps", "gap"),
-        (DeviceConfig, "host", "url"),
-        (DeviceConfig, "period", "interval"),
-        (Fleet, "output", "outputs"),
-        (AuditFile, "pth", "path"),
-    ],
-)
-def test_a_wrong_name_of_an_argument(make: Callable[..., Any], name: str, close: str) -> None:
-    assert close in inspect.signature(make).parameters, "the case is wrong"
-    with pytest.raises(TypeError) as raised:
-        make(**{name: 1})
-    assert str(raised.value).startswith(f"'{name}' must be one of ")
-    assert "did you mean " in str(raised.value)
-    assert close in str(raised.value).partition("did you mean ")[2]
-    assert raised.value.__cause__ is None
+def test_a_wrong_argument_is_answered_with_the_right_one(refused: Refused) -> None:
+    names: dict[str, Any] = {}
+    exec("from libmodbus_py import *; from libmodbus_py.fleet import *", names)
+    exec("from libmodbus_py.serve import *", names)
+    refused("wrong_arguments.txt", lambda call: eval(call, names))
 
 
 @each_case(
@@ -135,32 +100,6 @@ def test_signatures_and_copies_are_as_before() -> None:
     assert copy.copy(route) == pickle.loads(pickle.dumps(route)) == route
     assert [*inspect.signature(Read).parameters][:2] == ["table", "address"]
     assert Read.__init__.__name__ == "__init__"
-
-
-# What a program for another package types first, and what the error names.
-FIRST_LINES: list[tuple[Callable[[], object], str]] = [
-    (lambda: Client("127.0.0.1", 1502), "tcp://127.0.0.1:1502"),  # type: ignore[call-arg]
-    (lambda: Client("/dev/ttyUSB0", 9600), r"rtu:///dev/ttyUSB0\?baudrate=9600"),  # type: ignore[call-arg]
-    (lambda: Client(URL, 17), "unit=17"),  # type: ignore[call-arg]
-    (lambda: Client(URL, slave=17), r"did you mean unit\?"),  # type: ignore[call-arg]
-    (lambda: Client(URL, framer="rtu"), r"rtu\+tcp://"),  # type: ignore[call-arg]
-    (lambda: TcpContext("127.0.0.1", slave=1), r"did you mean unit\?"),  # type: ignore[call-arg]
-    (lambda: RtuContext("/dev/ttyUSB0", baud=1), "did you mean baudrate"),  # type: ignore[call-arg]
-    (lambda: Server(URL, DEVICE), r"Server\(device\).serve_forever\(url\)"),  # type: ignore[call-arg, arg-type]
-    (lambda: Server(DEVICE, before_write=print), r"Device\(mapping, before_write=...\)"),  # type: ignore[call-arg]
-    (lambda: Server(Mapping()), r"Device\(mapping\)"),  # type: ignore[arg-type]
-    (lambda: Device(holding_registers=9), r"Device\(Mapping\(holding_registers="),  # type: ignore[call-arg]
-    (lambda: Mapping(hr=9), r"did you mean holding_registers\?"),  # type: ignore[call-arg]
-    (lambda: DEVICE.change_hooks(befor_write=None), "did you mean before_write"),  # type: ignore[call-arg]
-]
-
-
-@each_case(("make", "named"), FIRST_LINES)
-def test_an_argument_of_another_package_is_answered_with_what_is_typed_here(
-    make: Callable[[], object], named: str
-) -> None:
-    with pytest.raises(TypeError, match=named):
-        make()
 
 
 @each_case(
