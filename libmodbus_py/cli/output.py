@@ -65,7 +65,8 @@ def print_log_lines(*, is_on: bool) -> None:
 
 def log_line(seconds: float, level: str, logger: str, message: str, exception: str = "") -> str:
     """Return one line of a log in JSON, without the newline."""
-    from ..protocol.plain import json_line, time_text
+    from ..protocol.json_text import json_line
+    from ..protocol.plain import time_text
 
     entry = {"time": time_text(seconds), "level": level, "logger": logger, "message": message}
     return json_line({**entry, "exception": exception} if exception else entry)
@@ -98,7 +99,7 @@ def harmless(text: str) -> str:
 
 def print_json(fields: dict[str, Any]) -> None:
     """Print an object of JSON as one line, at once."""
-    from ..protocol.plain import json_line
+    from ..protocol.json_text import json_line
 
     print(json_line(fields), flush=True)
 

@@ -32,8 +32,8 @@ from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ..protocol.checks import integer, shown
+from ..protocol.json_text import JSON, each_once
 from ..protocol.mistakes import Path, WrongType, WrongValue, inside
-from ..protocol.plain import JSON, each_once
 from ..protocol.tables import TABLE_SIZE, TABLES, joined, touches
 from ..system import open_file
 from .access import Access, TableOrFile, values_at

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..protocol import pdu
 from ..protocol.checks import shown
+from ..protocol.json_text import each_once
 from ..protocol.mistakes import WrongValue, inside
-from ..protocol.plain import BITS, bit_of, decimal_of, each_once, number_of, value_of
+from ..protocol.plain import BITS, bit_of, decimal_of, number_of, value_of
 from ..protocol.tables import TABLES, WriteFunction
 from .meaning import CellChange
 from .point import Point

@@ -8,15 +8,13 @@ depend on the place. Lines that a person watches have the clock of the place.
 from __future__ import annotations
 
 import enum
-import json
 import math
 import re
 import reprlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from struct import Struct
 from typing import TYPE_CHECKING, Any
 
-from .mistakes import WrongValue
 from .pdu import Request
 from .pdu.request import arguments
 
@@ -60,41 +58,6 @@ def plain(value: Any) -> Any:
 def without_controls(text: str) -> str:
     """Return a text with ``\\x1b`` and so on in place of control characters, for terminals."""
     return CONTROL.sub(lambda match: f"\\x{ord(match[0]):02x}", text)
-
-
-# --- JSON: all encoders of the package; a nan or an infinity is a ValueError -----------------
-
-JSON = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
-"""Encodes text as it is."""
-
-COMPACT_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
-"""Encodes text in ASCII, without spaces."""
-
-SORTED_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"), sort_keys=True)
-"""Encodes the same for equal values, without spaces."""
-
-json_text: Callable[[Any], str] = json.JSONEncoder(allow_nan=False).encode
-"""Returns a value as JSON, in ASCII."""
-
-
-def json_line(value: Any) -> str:
-    """Return a value as JSON, in which text is as it is, but for characters that print nothing."""
-    text = JSON.encode(value)
-    if text.isprintable():
-        return text
-    return "".join(
-        character if character.isprintable() else json_text(character)[1:-1] for character in text
-    )
-
-
-def each_once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    """Return names and values, as `object_pairs_hook`, too; json takes the last of two alike."""
-    values: dict[str, Any] = {}
-    for name, value in pairs:
-        if name in values:
-            raise WrongValue.about((name,), "occurs twice")
-        values[name] = value
-    return values
 
 
 # --- times ---------------------------------------------------------------------------

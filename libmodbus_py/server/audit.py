@@ -25,9 +25,10 @@ from ..device.access import Executed, ValueChange
 from ..device.authorization import INTERVAL_S
 from ..protocol.checks import checked_callback, finished
 from ..protocol.errors import ExceptionResponse
+from ..protocol.json_text import json_line
 from ..protocol.logs import HarmlessLogger
 from ..protocol.mistakes import named_arguments
-from ..protocol.plain import json_line, time_text
+from ..protocol.plain import time_text
 from ..security.certificates import CertificateHolder
 from ..system import open_file
 

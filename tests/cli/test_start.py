@@ -112,7 +112,7 @@ def test_ctrl_c_that_became_another_error_is_still_one(monkeypatch, cause, code)
     def fail(_: object) -> None:
         raise RuntimeError("Error calling __set_name__") from cause
 
-    monkeypatch.setattr("libmodbus_py.cli.commands.parsed", fail)
+    monkeypatch.setattr("libmodbus_py.cli.commands.parse_arguments", fail)
     result = run("read")
     assert result.code == code
     assert result.err.startswith("libmodbus-py: unexpected RuntimeError" if code == 1 else "")

@@ -16,8 +16,8 @@ pytestmark = pytest.mark.slow
 HEAD = """
 import asyncio, gc, os, signal, socket, sys
 from libmodbus_py import AsyncClient, Client, Device, Mapping, ModbusConnectionError
-from tests.support.peers import dead, peer_at
-from tests.support.reads import good_at
+from tests.support.peers import mute_port, peer_at
+from tests.support.reads import on_read_at
 from tests.support.signals import in_child
 
 signal.alarm(50)
@@ -41,7 +41,7 @@ def is_open(descriptor):
     return True
 
 
-reply = good_at(SCHEME)
+reply = on_read_at(SCHEME)
 """
 
 
@@ -138,7 +138,7 @@ asyncio.run(main())
 def test_a_child_keeps_no_connection_that_was_being_made() -> None:
     run("""
 async def main():
-    with dead() as port:
+    with mute_port() as port:
         before = sockets()
         plc = AsyncClient(f"tcp://127.0.0.1:{port}", timeout=20)
         connecting = asyncio.create_task(plc.connect())

@@ -14,13 +14,10 @@ import pytest
 from libmodbus_py import InvalidResponse, pdu
 from libmodbus_py.client.reconnecting import State
 from libmodbus_py.pdu import ReadHoldingRegisters
+from libmodbus_py.protocol.json_text import COMPACT_JSON, SORTED_JSON, each_once, json_text
 from libmodbus_py.protocol.mistakes import WrongValue
 from libmodbus_py.protocol.plain import (
-    COMPACT_JSON,
-    SORTED_JSON,
     clock_text,
-    each_once,
-    json_text,
     plain,
     text_of,
     time_text,

@@ -10,9 +10,10 @@ from typing import Any, NamedTuple, Protocol
 from weakref import WeakValueDictionary
 
 from ...protocol.errors import ModbusError
+from ...protocol.json_text import JSON, each_once
 from ...protocol.logs import HarmlessLogger
 from ...protocol.mistakes import WrongValue
-from ...protocol.plain import JSON, each_once, time_text
+from ...protocol.plain import time_text
 from .statistics import FleetStatistics
 
 logger: HarmlessLogger = HarmlessLogger(__name__)

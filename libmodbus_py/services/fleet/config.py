@@ -23,8 +23,8 @@ from ...maps.watched import PartialPlans
 from ...ports.endpoint import Endpoint, parse
 from ...ports.port import make_port
 from ...protocol.checks import integer, number, seconds
+from ...protocol.json_text import json_text
 from ...protocol.mistakes import Mistake, WrongType, WrongValue, inside, item, named_arguments
-from ...protocol.plain import json_text
 from ...protocol.tables import WriteFunction, checked_write_function
 
 LONGEST_NAME = 100

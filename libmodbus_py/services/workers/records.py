@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 from ...files.schema import one_of
 from ...protocol.checks import number
-from ...protocol.plain import SORTED_JSON, json_text
+from ...protocol.json_text import SORTED_JSON, json_text
 from ..engine.buckets import Change
 from ..fleet.config import ENGINE, LONGEST_LEASE, SHORTEST_LEASE, OnLoss
 

@@ -24,7 +24,7 @@ from typing import Any
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from ...ports.hosts import is_loopback, split_host_and_port
-from ...protocol.plain import json_text
+from ...protocol.json_text import json_text
 from ...server.server import Server
 from ..timed_server import TimedServer
 from .server_source import ServerSource

@@ -23,8 +23,8 @@ import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from typing import Any, Protocol
 
+from ...protocol.json_text import COMPACT_JSON
 from ...protocol.logs import HarmlessLogger
-from ...protocol.plain import COMPACT_JSON
 from ...system import Flag
 
 logger: HarmlessLogger = HarmlessLogger(__name__)

@@ -174,8 +174,8 @@ async def nothing(*_: object, **__: object) -> tuple[None, None]:
 
 @pytest.mark.parametrize("mode", [["--once"], ["--engine", "nats://127.0.0.1:1"]])
 def test_it_restores_the_signal_handlers_of_a_program(fleet: Path, monkeypatch, mode) -> None:
-    for name in ("connected", "disconnect", "_opened"):
-        monkeypatch.setattr(workers, name, nothing)
+    for name in ("engine.open_connection", "engine.disconnect", "_opened"):
+        monkeypatch.setattr(f"{workers.__name__}.{name}", nothing)
     monkeypatch.setattr(workers, "Polling", NoPolling)
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 

@@ -78,7 +78,7 @@ def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(la
 def test_requests_of_a_client_that_sends_no_more_are_answered(scheme: str) -> None:
     """As of `nc -N`, which half-closes the connection behind its last request."""
     framing: Framing = "tcp" if scheme == "tcp" else "rtu" if scheme == "rtu+tcp" else "ascii"
-    framer = make_framer(framing, "one")
+    framer = make_framer(framing, "client")
     with (
         Server(small()).background("tcp://127.0.0.1:0") as behind,
         Gateway([Route(behind.urls[0])]).background(f"{scheme}://127.0.0.1:0") as running,

@@ -11,8 +11,8 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import takewhile
 from typing import NamedTuple
 
+from ....protocol.json_text import SORTED_JSON
 from ....protocol.logs import HarmlessLogger
-from ....protocol.plain import SORTED_JSON
 from ....system import lock_file
 from ..readings import NO_LABELS
 from . import schema

@@ -23,7 +23,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import NamedTuple
 
-from ....protocol.plain import COMPACT_JSON, plain
+from ....protocol.json_text import COMPACT_JSON
+from ....protocol.plain import plain
 from ..readings import Reading
 
 # In the header of the file; `file` and other programs name the kind of a database by it.

@@ -19,7 +19,7 @@ from hashlib import blake2b
 from typing import Any, Literal, NamedTuple
 
 from ....maps.point import Point
-from ....protocol.plain import json_text
+from ....protocol.json_text import json_text
 from ....version import __version__
 from ..config import DeviceConfig
 from ..readings import Reading

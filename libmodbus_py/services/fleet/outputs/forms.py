@@ -10,7 +10,8 @@ from math import isfinite
 from typing import Any
 
 from ....files.csv_text import csv_rows
-from ....protocol.plain import JSON, json_text, plain, time_text
+from ....protocol.json_text import JSON, json_text
+from ....protocol.plain import plain, time_text
 from ..readings import Reading
 from .output import ReadingsRefused
 

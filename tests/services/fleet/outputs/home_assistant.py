@@ -153,7 +153,7 @@ class HomeAssistant:
             self.removed.append(topic)
             self.entities.pop(topic, None)
         else:
-            config = json.content(payload)
+            config = json.loads(payload)
             self.added.append(topic)
             self.entities[topic] = check(topic, config), config
             ids = [(each, entity["unique_id"]) for each, entity in self.entities.values()]
@@ -188,7 +188,7 @@ class HomeAssistant:
         if payload is None:
             return None
         template = JINJA.from_string(config["value_template"])
-        text = template.render(value=payload, value_json=json.content(payload))
+        text = template.render(value=payload, value_json=json.loads(payload))
         if text == "None":
             return None
         match component:
