@@ -20,4 +20,5 @@ Bottom up:
                (value_types: what they have in common, numbers and bits; times: the
                forms of dates and times)
     plain      values as text: as people read and type them, in JSON, for terminals
+    json_text  the encoders of JSON
 """
