@@ -85,6 +85,9 @@ class ModbusError(Exception):
             raise TypeError(f"reason must be a string, not {type(reason).__name__}")
         super().__init__(reason)
         for name, value in transaction.items():
+            if name not in _Transaction.__annotations__:
+                text = f"{type(self).__name__}() has no argument {name!r}"
+                raise TypeError(f"{text}; it has {', '.join(_Transaction.__annotations__)}")
             setattr(self, name, value)
 
     @property
@@ -146,6 +149,7 @@ class ExceptionResponse(ModbusError):
         super().__init__(default if reason == "" else reason, **transaction)
 
     def __init_subclass__(cls, code: int | None = None, meaning: str = "") -> None:
+        super().__init_subclass__()
         if code is not None:
             cls.code, cls.meaning = code, meaning
 

@@ -209,8 +209,8 @@ def cut(data: bytes | bytearray, start: int, results: list[Frame | FrameError], 
             add_error(results, error)
         else:
             # As Frame(unit, pdu, transaction), in half the time: bulk reads do little else.
-            unit_and_pdu = data[start + UNIT], bytes(data[start + FUNCTION : end])
-            results.append(tuple.__new__(Frame, (*unit_and_pdu, transaction)))
+            unit, pdu = data[start + UNIT], bytes(data[start + FUNCTION : end])
+            results.append(tuple.__new__(Frame, (unit, pdu, transaction)))
         start = end
         most -= 1
     return start

@@ -50,6 +50,12 @@ def test_text_is_one_line_without_the_endpoint() -> None:
     assert text == "unit 17, function 3, ReadHoldingRegisters(address=1, count=2): a wrong CRC"
 
 
+@each_case("kind", KINDS)
+def test_an_unknown_keyword_is_refused_with_those_that_there_are(kind: type[ModbusError]) -> None:
+    with pytest.raises(TypeError, match=r"\(\) has no argument 'slave'; it has unit, function"):
+        kind(slave=17)  # type: ignore[call-arg]
+
+
 def test_hex_is_cut_and_counted() -> None:
     assert in_hex(bytes(32)) == " ".join(["00"] * 32)
     assert in_hex(bytes(33)) == " ".join(["00"] * 32) + " ... (33 bytes)"

@@ -17,6 +17,7 @@ from .request import (
     Echoed,
     LengthRule,
     Request,
+    WordRequest,
     checked_registers,
     checked_sequence,
     checked_span,
@@ -189,7 +190,7 @@ def _check_reference_types(kinds: Iterable[int]) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class ReadFifoQueue(Request[list[int]]):
+class ReadFifoQueue(WordRequest[list[int]]):
     """Function 24, section 6.18: read 0..31 registers of the FIFO queue at `address`."""
 
     address: int

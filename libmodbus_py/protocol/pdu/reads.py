@@ -12,7 +12,7 @@ from .request import (
     REGISTERS,
     TABLE_SIZE,
     LengthRule,
-    Request,
+    WordRequest,
     checked_bits,
     checked_span,
     counted,
@@ -31,7 +31,7 @@ _COUNTED: LengthRule = counted(2, at=1)
 
 
 @dataclass(frozen=True, slots=True)
-class _Read(Request[Values]):
+class _Read(WordRequest[Values]):
     """`count` items, up to `limit`, from `address`."""
 
     address: int
@@ -68,7 +68,7 @@ class _Read(Request[Values]):
         ):
             # The usual case, which the base would judge alike.
             return self._decode_response(pdu)
-        return Request.decode_response(self, pdu)  # slots make another class: super() fails
+        return WordRequest.decode_response(self, pdu)  # slots make another class: super() fails
 
 
 # What is frozen is set once, in half the time of object.__setattr__.

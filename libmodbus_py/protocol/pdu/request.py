@@ -205,12 +205,9 @@ class Request(Generic[Result]):
     changes: bool = True
     expects_response: bool = True
 
-    __match_args__: ClassVar[tuple[str, ...]] = ()
-
     def encode(self) -> bytes:
-        """Encode the request PDU; by default, the fields of a dataclass are 16 bits each."""
-        fields = [getattr(self, name) for name in self.__match_args__]
-        return bytes([self.function]) + pack_registers(fields)
+        """Encode the request PDU."""
+        raise NotImplementedError
 
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
@@ -220,7 +217,7 @@ class Request(Generic[Result]):
         Raises:
             ValueError: a quantity, byte count or constant is wrong.
         """
-        return cls(*unpack_registers(pdu[1:]))
+        raise NotImplementedError
 
     def encode_response(self, result: Result) -> bytes:
         """
@@ -304,6 +301,22 @@ def arguments(request: Request[Any]) -> dict[str, Any]:
         return {name: value for name, value in attributes.items() if name[0] != "_"}
     names = [field.name for field in fields(request) if field.repr]
     return {name: getattr(request, name) for name in names if hasattr(request, name)}
+
+
+class WordRequest(Request[Result]):
+    """A request whose fields, those of a dataclass, are 16 bits each."""
+
+    __slots__ = ()
+
+    __match_args__: ClassVar[tuple[str, ...]] = ()
+
+    def encode(self) -> bytes:
+        fields = [getattr(self, name) for name in self.__match_args__]
+        return bytes([self.function]) + pack_registers(fields)
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        return cls(*unpack_registers(pdu[1:]))
 
 
 class Echoed(Request[None]):

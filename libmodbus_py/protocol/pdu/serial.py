@@ -14,6 +14,7 @@ from .request import (
     LengthRule,
     Request,
     Result,
+    WordRequest,
     checked_data,
     checked_register,
     counted,
@@ -24,7 +25,7 @@ from .request import (
 
 
 @dataclass(frozen=True, slots=True)
-class _Bare(Request[Result]):
+class _Bare(WordRequest[Result]):
     """A read whose request is only the function code."""
 
     repeatable = True

@@ -14,6 +14,7 @@ from .request import (
     Echoed,
     LengthRule,
     Request,
+    WordRequest,
     checked_bit,
     checked_bits,
     checked_register,
@@ -33,7 +34,7 @@ Value = TypeVar("Value", bool, int)
 
 
 @dataclass(frozen=True, slots=True)
-class _WriteOne(Echoed, Generic[Value]):
+class _WriteOne(Echoed, WordRequest[None], Generic[Value]):
     address: int
     value: Value
 
@@ -130,7 +131,7 @@ class WriteRegisters(_WriteSeveral[int]):
 
 
 @dataclass(frozen=True, slots=True)
-class MaskWriteRegister(Echoed):
+class MaskWriteRegister(Echoed, WordRequest[None]):
     """
     Function 22, section 6.16: set one holding register to
     (current AND `and_mask`) OR (`or_mask` AND NOT `and_mask`).

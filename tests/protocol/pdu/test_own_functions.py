@@ -183,3 +183,17 @@ def test_a_length_of_its_own_is_the_only_one() -> None:
     assert Padded(107, 3).decode_response(RESPONSE + bytes(4)) == [555, 0, 100]
     with pytest.raises(InvalidResponse):
         Padded(107, 3).decode_response(RESPONSE)
+
+
+class Unfinished(Request[None]):
+    """A class whose fields are never put into bytes."""
+
+    function = 0x43
+    request_length = response_length = pdu.fixed(2)
+
+
+def test_a_class_without_its_coding_says_so() -> None:
+    with pytest.raises(NotImplementedError):
+        Unfinished().encode()
+    with pytest.raises(NotImplementedError):
+        Unfinished.decode(b"\x43\0")
