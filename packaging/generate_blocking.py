@@ -39,7 +39,8 @@ def blocking(source: str, name: str) -> str:
         elif re.fullmatch(r'\w+|"\w+"', token.string):  # a name, even in quotes
             lines[row - 1] = line[:start] + re.sub(r"\w+", _renamed, token.string) + line[end:]
     head = f"# Generated from {name} by packaging/generate_blocking.py; do not edit.\n"
-    return head + "".join(lines)
+    text = re.sub(r"\bAwaitable\[(\w+)\]", r"\1", "".join(lines))  # what is awaited is here
+    return head + text.replace("import Awaitable, ", "import ")
 
 
 def _renamed(found: re.Match[str]) -> str:

@@ -78,7 +78,7 @@ class AsyncioDriver:
         return self._life.state is not State.CLOSED
 
     def run(self, job: Call | Batch) -> TaskCaller:
-        """Send requests; the caller awaits at once what is returned, until they are over."""
+        """Send requests; the caller awaits at once what is returned, for their result."""
         loop = asyncio.get_running_loop()
         if loop is not self._loop:
             self._bind()
@@ -189,7 +189,10 @@ class AsyncioDriver:
     def _bind(self) -> asyncio.AbstractEventLoop:
         loop = asyncio.get_running_loop()
         if self._loop is None:
-            self._loop, self._now = loop, loop.time
+            self._loop = loop
+            # What most loops read, without a call of Python for it.
+            is_usual = type(loop).time is asyncio.BaseEventLoop.time
+            self._now = monotonic if is_usual else loop.time
         elif self._loop is not loop:
             raise RuntimeError("this client belongs to another event loop; make one for each loop")
         return loop
@@ -201,19 +204,23 @@ class AsyncioDriver:
 
     # --- entry --------------------------------------------------------------------------------
 
-    def _enter(self, act: Callable[..., object], *arguments: Any) -> None:
+    def _enter(self, act: Callable[..., object], subject: Any = None) -> None:
         """
-        Change the state, then report the change. Every change of the state is made through this.
+        Change the state, then report the change. Every change of the state is made through this,
+        by a method without an argument, or with the subject.
 
         If an action raises an exception, it is unknown how much of its work was done. Then the
         connection is given up, and all calls end, so that no caller waits forever.
         """
         if self._is_inside:  # called by user code, such as the class of a request
-            self._bound.call_soon(self._enter, act, *arguments)
+            self._bound.call_soon(self._enter, act, subject)
             return
         self._is_inside = True
         try:
-            act(*arguments)
+            if subject is None:
+                act()
+            else:
+                act(subject)
         except BaseException as error:
             self._interrupt(error)
             raise
@@ -280,7 +287,7 @@ class AsyncioDriver:
                 pass
         if connection.broken is not None:
             self._lose(connection.broken, by_itself=False)
-        if self._matching.alarm < self._alarm.at or self._port.resume_at is not None:
+        if self._matching.alarm < self._alarm.at:
             self._set_timer()
 
     def _send(self, now: float) -> bool:
@@ -291,6 +298,8 @@ class AsyncioDriver:
                 return False
             if port.has_unsent or self._is_writing:
                 self._follow_port()
+            if port.resume_at is not None:
+                self._set_timer()
             if not self._is_reading:
                 self._read_on()
         except ModbusConnectionError as error:
@@ -307,8 +316,11 @@ class AsyncioDriver:
 
     def _ring(self, now: float) -> None:
         """Process timeouts and pauses of the port that are over."""
-        if self._port.resume_at is not None and self._port.resume_at <= now:
-            self._go_on()
+        if self._port.resume_at is not None:
+            if self._port.resume_at <= now:
+                self._go_on()
+            else:
+                self._set_timer()
         self._connection.tick(now)
         self._connection.settle(now)
         self._turn(now)
@@ -320,7 +332,7 @@ class AsyncioDriver:
         queue = self._queue
         if queue.waiting or queue.again or self._connection.broken is not None:
             self._turn()
-        elif self._matching.alarm < self._alarm.at or self._port.resume_at is not None:
+        elif self._matching.alarm < self._alarm.at:
             self._set_timer()
 
     def _read(self) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 import threading
 import weakref
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..ports.port import abandoned_in_children
 from ..ports.waiting import READ, WRITE, Woken, run
@@ -86,9 +86,9 @@ class BlockingDriver:
                 waker.clear()
         return not self._closed
 
-    def run(self, job: Call | Batch) -> None:
+    def run(self, job: Call | Batch) -> Any:
         """
-        Send requests; return when they are over.
+        Send requests; return their result when they are over, or raise it.
 
         An exception that is not the outcome of a request, such as a KeyboardInterrupt, gives up the
         connection and all requests on it, because it is unknown how much was done.
@@ -129,6 +129,7 @@ class BlockingDriver:
                     self._shut()
                 if self._notices.waiting:
                     self._notices.give()
+        return job.result()
 
     def change_timeout(self) -> None:
         """Apply changed `Timeouts` to a request that is under way, perhaps in another thread."""
@@ -299,11 +300,11 @@ class ClosingDriver(BlockingDriver):
                 self._notices.give()
         return super().wait_until(at)
 
-    def run(self, job: Call | Batch) -> None:
+    def run(self, job: Call | Batch) -> Any:
         with self.lock:
             if not self._is_busy:
                 self._end_idle()
-            super().run(job)
+            return super().run(job)
 
     def _end_idle(self) -> None:
         self._connection.end_idle(self._now())

@@ -16,6 +16,7 @@ import enum
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from ..protocol.checks import integer, seconds
@@ -211,6 +212,13 @@ class Call:
         elif self.on_done is not None:
             self.on_done(self)
 
+    def result(self) -> Any:
+        """Return the result, or raise the exception that is the outcome."""
+        outcome = self.outcome
+        if isinstance(outcome, BaseException):
+            raise outcome
+        return outcome
+
     def forget(self) -> None:
         """Note that no caller waits for the outcome any more."""
         self.is_done = True
@@ -223,6 +231,9 @@ class Call:
     def send_no_more(self) -> None:
         """Note that it is not to be sent again."""
         self.timeouts = Timeouts(self.timeouts.timeout, 0, 0)
+
+
+_is_silent: Callable[[Call], bool] = attrgetter("is_silent")
 
 
 class Batch:
@@ -263,7 +274,7 @@ class Batch:
         ]
         self.waiting: list[Call] = self.calls[::-1]  # to be submitted, the next one last
         # Without an answer, it is unknown whether a request was carried out before the next one.
-        self.one_by_one: bool = one_by_one or any(call.is_silent for call in self.calls)
+        self.one_by_one: bool = one_by_one or any(map(_is_silent, self.calls))
         self._go_on = go_on
         self._is_poll = is_poll
         self._open = len(self.calls)
@@ -274,6 +285,10 @@ class Batch:
     def outcomes(self) -> list[Any]:
         """The outcomes of the requests, in their order."""
         return [call.outcome for call in self.calls]
+
+    def result(self) -> list[Any]:
+        """Return the outcomes; none of them is raised."""
+        return self.outcomes
 
     def on_end(self, callback: Callable[[Batch], object]) -> None:
         """Call a function once it is over."""

@@ -89,6 +89,7 @@ class Transactions:
         self._silent: list[tuple[float, Call]] = []  # calls without an answer, and when they end
         self._answered: list[Call] = []
         self._next_start = self._opened_at = 0.0
+        self._spacing = settings["request_spacing"]
         self.idle_close: float | None = settings["idle_close"]
 
     @property
@@ -187,16 +188,17 @@ class Transactions:
             return False
         adus: list[bytes] = []
         calls: list[Call] = []
-        unsettled, spacing = self._answered, self._settings["request_spacing"]
+        unsettled, spacing = self._answered, self._spacing
+        room, in_flight = queue.half, self.in_flight
         if (is_traced := self._trace.is_on()) is not matching.is_traced:
             matching.trace_frames(is_on=is_traced)
-        while (call := queue.next(now, self.in_flight, unsettled)) is not None:
+        while (call := queue.next(now, in_flight, unsettled)) is not None:
             if call.adu:
                 self.statistics.retries += 1
             adu = matching.start(call, now)
             call.note_sent(adu, now)
             adus.append(adu)
-            self.in_flight += 1
+            in_flight += 1
             deadline = now - call.waited + call.timeouts.timeout
             if deadline < matching.alarm:
                 matching.wake(deadline)
@@ -209,8 +211,10 @@ class Transactions:
             if spacing:
                 self._next_start = now + spacing
                 break
-            if queue.limit <= 2 * len(adus) or not (queue.waiting or queue.again):
+            room -= 1
+            if not room or not (queue.waiting or queue.again):
                 break
+        self.in_flight = in_flight
         if not adus:
             return False
         self.is_flooded = False

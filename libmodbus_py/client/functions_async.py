@@ -6,7 +6,7 @@ The methods of clients that send one request each; and connect.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Awaitable, Generator, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 
 from ..protocol import pdu
@@ -42,10 +42,7 @@ class AsyncFunctions(Handle):
         """
         if wrong:
             raise unexpected(self.connect, wrong)
-        call = Call(self._unit, None, self._timeouts)
-        await self._driver.run(call)
-        if isinstance(call.outcome, BaseException):
-            raise call.outcome
+        await self._driver.run(Call(self._unit, None, self._timeouts))
 
     async def execute(
         self,
@@ -70,16 +67,15 @@ class AsyncFunctions(Handle):
             raise unexpected(self.execute, wrong)
         return await self._ask(request, self._timeouts.but(timeout, retries))
 
-    async def _ask(self, request: pdu.Request[Result], timeouts: Timeouts | None = None) -> Result:
-        """Send a request, and return its result; `timeouts` in place of the handle's."""
+    def _ask(
+        self, request: pdu.Request[Result], timeouts: Timeouts | None = None
+    ) -> Awaitable[Result]:
+        """Send a request, for its result; `timeouts` in place of the handle's."""
         unit = self._unit
         is_broadcast = unit == 0 and self._has_broadcast
         call = Call(unit, request, timeouts or self._timeouts, is_broadcast)
-        await self._driver.run(call)
-        result: Result = call.outcome
-        if isinstance(result, BaseException):
-            raise result
-        return result
+        answer: Awaitable[Result] = self._driver.run(call)
+        return answer
 
     async def read_coils(self, address: int, count: int, **wrong: Unpack[NoOthers]) -> list[bool]:
         """Read 1..2000 coils (function 1, modbus_read_bits)."""

@@ -43,10 +43,7 @@ class BlockingFunctions(Handle):
         """
         if wrong:
             raise unexpected(self.connect, wrong)
-        call = Call(self._unit, None, self._timeouts)
-        self._driver.run(call)
-        if isinstance(call.outcome, BaseException):
-            raise call.outcome
+        self._driver.run(Call(self._unit, None, self._timeouts))
 
     def execute(
         self,
@@ -71,16 +68,15 @@ class BlockingFunctions(Handle):
             raise unexpected(self.execute, wrong)
         return self._ask(request, self._timeouts.but(timeout, retries))
 
-    def _ask(self, request: pdu.Request[Result], timeouts: Timeouts | None = None) -> Result:
-        """Send a request, and return its result; `timeouts` in place of the handle's."""
+    def _ask(
+        self, request: pdu.Request[Result], timeouts: Timeouts | None = None
+    ) -> Result:
+        """Send a request, for its result; `timeouts` in place of the handle's."""
         unit = self._unit
         is_broadcast = unit == 0 and self._has_broadcast
         call = Call(unit, request, timeouts or self._timeouts, is_broadcast)
-        self._driver.run(call)
-        result: Result = call.outcome
-        if isinstance(result, BaseException):
-            raise result
-        return result
+        answer: Result = self._driver.run(call)
+        return answer
 
     def read_coils(self, address: int, count: int, **wrong: Unpack[NoOthers]) -> list[bool]:
         """Read 1..2000 coils (function 1, modbus_read_bits)."""

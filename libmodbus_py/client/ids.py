@@ -94,12 +94,11 @@ class Ids(Matching):
                     self._drop(number, mbap(number, unit, pdu), now)
                     continue
                 _, call = self.pending.popitem()
-            if call.unit == unit or self._any_unit:
-                self.unanswered: int = 0
-                self._answered_at = now
+            if call.unit == unit:
                 call.answer(pdu)
-                if call.unit != unit:
-                    self._answerers[call] = unit
+            elif self._any_unit:
+                call.answer(pdu)
+                self._answerers[call] = unit
             else:
                 self._statistics.invalid += 1
                 error = InvalidResponse(
@@ -109,6 +108,9 @@ class Ids(Matching):
                 error.answers_another = True
                 call.answer(error)
             calls.append(call)
+        if calls:
+            self.unanswered: int = 0
+            self._answered_at = now
         return calls
 
     def _drop(self, number: int, adu: bytes, now: float) -> None:

@@ -278,8 +278,7 @@ class AsyncMany(AsyncFunctions):
     ) -> list[Any]:
         """Send requests together, as `execute_many` does."""
         batch = self._batch(requests, return_exceptions)
-        await self._driver.run(batch)
-        outcomes = batch.outcomes
+        outcomes: list[Any] = await self._driver.run(batch)
         raised(outcomes, (ModbusError,) if return_exceptions else ())
         return outcomes
 
@@ -295,8 +294,7 @@ class AsyncMany(AsyncFunctions):
         reads = list(requests)
         first = refusals.first % len(reads) if return_exceptions and reads else 0
         batch = self._batch(reads[first:] + reads[:first], return_exceptions, is_poll=True)
-        await self._driver.run(batch)
-        outcomes = batch.outcomes
+        outcomes: list[Any] = await self._driver.run(batch)
         raised(outcomes, (ModbusError,))
         if return_exceptions and NOT_ASKED in outcomes:
             refusals.first += 1

@@ -279,8 +279,7 @@ class BlockingMany(BlockingFunctions):
     ) -> list[Any]:
         """Send requests together, as `execute_many` does."""
         batch = self._batch(requests, return_exceptions)
-        self._driver.run(batch)
-        outcomes = batch.outcomes
+        outcomes: list[Any] = self._driver.run(batch)
         raised(outcomes, (ModbusError,) if return_exceptions else ())
         return outcomes
 
@@ -296,8 +295,7 @@ class BlockingMany(BlockingFunctions):
         reads = list(requests)
         first = refusals.first % len(reads) if return_exceptions and reads else 0
         batch = self._batch(reads[first:] + reads[:first], return_exceptions, is_poll=True)
-        self._driver.run(batch)
-        outcomes = batch.outcomes
+        outcomes: list[Any] = self._driver.run(batch)
         raised(outcomes, (ModbusError,))
         if return_exceptions and NOT_ASKED in outcomes:
             refusals.first += 1

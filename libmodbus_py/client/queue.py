@@ -34,6 +34,7 @@ class Queue:
         self.write: Call | None = None
         self.matching = matching
         self.limit = limit
+        self.half: int = (limit + 1) // 2
         self._left = 0  # at most so many in `waiting` are those of callers that are gone
         self._has_ids = matching.has_ids
 
@@ -50,15 +51,15 @@ class Queue:
         """
         if not self._has_ids:
             return None if in_flight or unsettled else self._next_on_line(now)
-        if self.write is None and in_flight >= self.limit:
+        if self.write is not None:
+            return self._next_again(now) if self.again else None
+        if in_flight >= self.limit:
             return None
         if self.again:
             if (call := self._next_again(now)) is not None:
                 return call
             if in_flight + len(self.again) >= self.limit > 1:
                 return None
-        if self.write is not None:
-            return None
         waiting = self.waiting
         while waiting:
             call = waiting.popleft()

@@ -52,7 +52,6 @@ class Statistics:
     """
 
     requests: int = 0
-    responses: int = 0
     exceptions: int = 0
     timeouts: int = 0
     retries: int = 0
@@ -74,6 +73,10 @@ class Statistics:
     )
 
     @property
+    def responses(self) -> int:
+        return sum(self.answer_times)
+
+    @property
     def results(self) -> defaultdict[tuple[int, str], int]:
         """The number of completed requests by function and result, each time counted anew."""
         results = self._others.copy()
@@ -89,7 +92,6 @@ class Statistics:
     ) -> None:
         """Count a response that came now, after so many seconds; `other` is its result but "ok"."""
         self.last_success = now
-        self.responses += 1
         if other is None:
             self._good[function] += 1
         else:

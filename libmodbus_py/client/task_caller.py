@@ -7,7 +7,7 @@ takes a tenth of the instructions of a read. Here it goes on at once.
 
 from __future__ import annotations
 
-from asyncio import AbstractEventLoop, CancelledError, current_task
+from asyncio import AbstractEventLoop, CancelledError, current_task, get_running_loop
 from collections.abc import Callable, Generator
 from contextvars import Context
 from typing import TYPE_CHECKING, Any
@@ -49,7 +49,7 @@ class TaskCaller:
         else:
             self._loop.call_soon(resume, self, context=self._context)
 
-    def __await__(self) -> Generator[TaskCaller, None, None]:
+    def __await__(self) -> Generator[TaskCaller, None, Any]:
         job = self._job
         try:
             if not job.is_done:
@@ -58,11 +58,12 @@ class TaskCaller:
         finally:
             if not job.is_done:
                 self._withdraw(job)
+        return job.result()
 
     # --- called by the task -------------------------------------------------------------------
 
-    def get_loop(self) -> AbstractEventLoop:
-        return self._loop
+    # In C; a task runs in its own loop.
+    get_loop: Callable[[], AbstractEventLoop] = staticmethod(get_running_loop)
 
     def add_done_callback(self, resume: Callable[[Any], object], *, context: Context) -> None:
         self._resume, self._context = resume, context

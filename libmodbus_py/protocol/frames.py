@@ -7,7 +7,8 @@ from __future__ import annotations
 import contextlib
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Literal, NamedTuple
 
 from .errors import MAX_RECEIVED, FrameError
@@ -34,6 +35,10 @@ class Frame(NamedTuple):
     unit: int
     pdu: bytes
     transaction: int = 0
+
+
+# As Frame(unit, pdu, transaction), in half the time: bulk reads do little else.
+_new_frame: Callable[[tuple[int, bytes, int]], Frame] = partial(tuple.__new__, Frame)
 
 
 class Overheard(Frame):
@@ -171,6 +176,7 @@ UNIT, FUNCTION = 6, 7
 
 _HEADER = struct.Struct(">HHH")
 _MBAP = struct.Struct(">HHHB")  # with the unit
+_MOST = 1 + MAX_PDU  # as the length in a header counts
 
 
 def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
@@ -178,7 +184,7 @@ def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
     return _MBAP.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
 
-def cut(data: bytes | bytearray, start: int, results: list[Frame | FrameError], most: int) -> int:
+def cut(data: bytes, start: int, results: list[Frame | FrameError], most: int) -> int:
     """
     Cut out up to `most` frames with MBAP headers, of which the first begins at `start`.
 
@@ -198,19 +204,18 @@ def cut(data: bytes | bytearray, start: int, results: list[Frame | FrameError], 
     while most and size - start >= 6:
         transaction, protocol, length = _HEADER.unpack_from(data, start)
         end = start + 6 + length
-        if not 2 <= length <= 1 + MAX_PDU:
-            received = bytes(data[start : start + MAX_RECEIVED])
+        if not 2 <= length <= _MOST:
+            received = data[start : start + MAX_RECEIVED]
             raise FrameError(f"header with length {length}, not 2..254", received=received)
         if size < end:
             break
         if protocol != 0:
-            received = bytes(data[start:end])
+            received = data[start:end]
             error = FrameError(f"header with protocol {protocol}, not 0", received=received)
             add_error(results, error)
         else:
-            # As Frame(unit, pdu, transaction), in half the time: bulk reads do little else.
-            unit, pdu = data[start + UNIT], bytes(data[start + FUNCTION : end])
-            results.append(tuple.__new__(Frame, (unit, pdu, transaction)))
+            frame = data[start + UNIT], data[start + FUNCTION : end], transaction
+            results.append(_new_frame(frame))
         start = end
         most -= 1
     return start
@@ -220,7 +225,7 @@ def is_one_frame(data: bytes) -> bool:
     """Return True if the bytes are one whole frame with an MBAP header, and nothing else."""
     size = len(data)
     return (
-        8 <= size <= TcpFramer.max_size
+        8 <= size <= UNIT + _MOST
         and size == _HEADER.size + (data[4] << 8 | data[5])
         and not (data[2] or data[3])
     )
@@ -248,7 +253,6 @@ class TcpFramer(Framer):
     """
 
     has_broadcast = False
-    max_size: int = _MBAP.size + MAX_PDU
 
     def __init__(self, role: Role = "server") -> None:
         super().__init__()
@@ -265,7 +269,7 @@ class TcpFramer(Framer):
         This takes a quarter of the time of `scan`.
         """
         size = len(data)
-        if FUNCTION < size <= self.max_size and not self.rest and self.in_step:
+        if FUNCTION < size <= UNIT + _MOST and not self.rest and self.in_step:
             transaction, protocol, length, unit = _MBAP.unpack_from(data)
             if length == size - UNIT and not protocol:
                 return unit, data[FUNCTION:], transaction
@@ -273,7 +277,7 @@ class TcpFramer(Framer):
 
     def scan(self, data: bytes) -> list[Frame | FrameError]:
         frame = self.whole(data)
-        return super().scan(data) if frame is None else [tuple.__new__(Frame, frame)]
+        return super().scan(data) if frame is None else [_new_frame(frame)]
 
     def _scan(self) -> None:
         if not self.in_step:

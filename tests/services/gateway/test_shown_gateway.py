@@ -59,7 +59,8 @@ def test_a_line_has_its_counters_and_its_state() -> None:
     counted = Counted()
     line = counted.lines[0]
     line.since, line.waiting, line.in_flight, line.full = 12.34, 5, 2, 3
-    line.connection.requests, line.connection.responses = 70, 60
+    line.connection.requests = 70
+    line.connection.answer_times[0] = 60
     assert cells(counted.shown)[FIRST] == {
         "name": {"group": "", "own": FIRST},
         "state": {"word": "new", "reason": "", "since": 12.3},
