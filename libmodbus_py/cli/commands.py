@@ -12,7 +12,7 @@ from importlib import import_module
 
 from ..version import __version__
 from .output import PROGRAM
-from .parser import Parser, Printing, declare
+from .parser import Parser, Printing, declare, without_options
 
 TYPE_CHECKING = False  # typing alone takes a twentieth of what --version may
 if TYPE_CHECKING:
@@ -84,11 +84,12 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     if parser.commands:  # they have their own parsers
         if others and not others[0].startswith("-") and others[0] not in parser.commands:
             parser.refuse_command(others[0])
-        found, unknown = parser.parse_known_args(others)
+        found, unknown = parser.parse_known_args(without_options(others))
     else:  # options may be anywhere between the words
         if message := equivalents(name, parser.flags, others):
             parser.error(message)
-        found, unknown = parser.parse_known_intermixed_args(with_forms(parser, others))
+        words = without_options(with_forms(parser, others))
+        found, unknown = parser.parse_known_intermixed_args(words)
     if unknown:
         from ..protocol.mistakes import close_to
 
@@ -97,7 +98,7 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
         close = close_to(option[2:], [each[2:] for each in flags if each[:2] == "--"], "--")
         if name == "poll" and not option:
             close = f"; {PROGRAM} read {' '.join(others)} --watch polls without a fleet file"
-        found.parser.error(f"unrecognized arguments: {' '.join(unknown)}{close}")
+        found.parser.error(f"unrecognized arguments: {' '.join(map(str.strip, unknown))}{close}")
     return found
 
 

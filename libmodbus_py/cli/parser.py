@@ -17,7 +17,7 @@ from .output import PROGRAM, complain
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from typing import Any, NoReturn
 
 POSITIONAL, OPTIONS = "positional arguments", "options"
@@ -63,8 +63,6 @@ class Parser(argparse.ArgumentParser):
         texts = {"help": Parser.format_help, "help_all": whole}
         declare(self, text, **{at: {"action": Printing, "text": texts[at]} for at in texts})
         self.set_defaults(parser=self)
-        # argparse would take -1e5 and -inf for options, and has no public name for what decides.
-        self._negative_number_matcher = re.compile(r"-(\.?[0-9]|inf|nan)", re.IGNORECASE)
 
     @property
     def flags(self) -> dict[str, Any]:
@@ -229,8 +227,8 @@ def declare(
         head, _, help = block.partition("\n")
         shown = head.removeprefix("rare ")
         flags, options = _shape(shown)
-        if options.get("metavar") in TYPES:
-            options["type"] = TYPES[options["metavar"]]
+        if "metavar" in options:
+            options["type"] = TYPES.get(options["metavar"], _as_typed)
         options |= {"help": " ".join(help.split()), **more.get(options["dest"], {})}
         words = options.pop("complete", None)
         if choices := options.pop("choices", None):
@@ -273,6 +271,18 @@ TYPES: dict[str, Callable[[str], Any]] = {"URL": place, "N": int, "S": float}
 """Placeholder of a value in --help -> the function that converts the value."""
 
 _HEAD = re.compile(r"(?P<flags>(?:-[-\w]+(?: |$))*)(?P<value>.*?)(?P<many> \.\.\.)?")
+
+
+_NEGATIVE = re.compile(r"-(\.?[0-9]|inf|nan)", re.IGNORECASE)
+
+
+def without_options(words: Iterable[str]) -> list[str]:
+    """Put a space before -1e5 and -inf, which argparse would else take for options."""
+    return [f" {word}" if _NEGATIVE.match(word) else word for word in words]
+
+
+def _as_typed(text: str) -> str:
+    return text[1:] if text[0:1] == " " and _NEGATIVE.match(text, 1) else text
 
 
 def _choice(choices: Collection[str], text: str) -> str:
