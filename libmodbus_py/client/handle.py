@@ -17,8 +17,8 @@ from .options import Options, checked_options, line_options
 from .reconnecting import State
 
 if TYPE_CHECKING:
-    from ..maps.holes import Holes, Unreadable
     from ..maps.plan import Plan
+    from ..maps.refusals import Refusals, Unreadable
     from ..maps.register_map import AnyMap
     from ..ports.port import Port
     from ..protocol import pdu
@@ -62,7 +62,7 @@ class Handle:
         self._connection = Transactions(endpoint, settings, port)
         self._has_broadcast = not endpoint.has_transactions and settings["broadcast"]
         self._driver = make_driver(port, self._connection)
-        self._refusals_of: dict[int, Holes] = {}
+        self._refusals_of: dict[int, Refusals] = {}
 
     def for_unit(
         self,
@@ -192,11 +192,11 @@ class Handle:
         return f"{self.url}, unit {self.unit}"
 
     @property
-    def _refusals(self) -> Holes:
+    def _refusals(self) -> Refusals:
         """The refusals of the unit, as all handles of this client know them."""
-        from ..maps.holes import Holes
+        from ..maps.refusals import Refusals
 
-        return self._refusals_of.setdefault(self._unit, Holes())
+        return self._refusals_of.setdefault(self._unit, Refusals())
 
     def _batch(
         self,

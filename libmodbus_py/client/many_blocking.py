@@ -19,7 +19,6 @@ from .keywords import NoOthers, check_plan_options, public_methods, unexpected
 
 # What only some methods need is imported by them.
 if TYPE_CHECKING:
-    from ..maps.holes import Holes
     from ..maps.items import (
         AnyItem,
         BitItem,
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
         Values,
     )
     from ..maps.plan import Plan
+    from ..maps.refusals import Refusals
     from ..maps.register_map import AnyMap
     from ..maps.watched import Pace, PolledValues, WatchedPoints
     from ..protocol import pdu
@@ -284,7 +284,7 @@ class BlockingMany(BlockingFunctions):
         return outcomes
 
     def _read_batch(
-        self, requests: Iterable[pdu.Request[Any]], return_exceptions: bool, refusals: Holes
+        self, requests: Iterable[pdu.Request[Any]], return_exceptions: bool, refusals: Refusals
     ) -> list[Any]:
         """
         Send reads together; return their results, and ModbusErrors in place of some.
@@ -306,7 +306,7 @@ class BlockingMany(BlockingFunctions):
 
     def _answers(self, plan: Plan, return_exceptions: bool) -> list[Any]:
         """Return the answers to a plan's requests, for its `results`; or raise the first error."""
-        from ..maps.holes import is_refusal, reading
+        from ..maps.refusals import is_refusal, reading
 
         refusals = self._refusals
         answers: list[Any] = []

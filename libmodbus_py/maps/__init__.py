@@ -16,7 +16,7 @@ The registers of a device, by name, and the requests that read and write them. N
     items          what a plan reads, and its values by name: Read, NamedValues
     plan           few requests of many reads: Plan
     point_plan     the same for points, and for points that scale them: PointPlan
-    holes          the items that a device refuses, found by halving
+    refusals       the items that a device refuses, found by halving
     watched        the points of a map from poll to poll: those that are due, and totals
     writing        values of points and registers from typed text; few requests of many writes
 """

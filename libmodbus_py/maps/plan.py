@@ -20,9 +20,9 @@ from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongType, WrongValue, inside, named_arguments
 from ..protocol.tables import TABLE_SIZE, TABLES, checked_ranges, checked_table, joined, touches
 from ..protocol.value_types import cells_of
-from .holes import Block, BlockPiece, Holes, PartialAnswer, Span, Unreadable
 from .items import Borders, Forbidden, Items, NamedValues, PlanOptions, Read, checked_items
 from .meaning import no_value
+from .refusals import Block, BlockPiece, PartialAnswer, Refusals, Span, Unreadable
 
 
 class _Part(NamedTuple):
@@ -239,12 +239,12 @@ def planned(items: Plan | Items, options: PlanOptions) -> Plan:
     return items
 
 
-def unreadable_of(plan: Plan, holes: Holes, device: str) -> list[Unreadable]:
+def unreadable_of(plan: Plan, refusals: Refusals, device: str) -> list[Unreadable]:
     """Return the items of a plan that a device is known to refuse."""
     errors: dict[Any, ModbusError] = {}
     for span, names in chain.from_iterable(plan.blocks):
-        if (hole := holes.refused.get(span)) is not None:
-            errors |= dict.fromkeys(names, hole.error)
+        if (past := refusals.pieces.get(span)) is not None:
+            errors |= dict.fromkeys(names, past.error)
     return [
         Unreadable(device, name, read.table, read.cells, errors[name])
         for name, read in plan._reads.items()

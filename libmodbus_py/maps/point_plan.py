@@ -11,11 +11,11 @@ from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongValue
 from ..protocol.tables import Table
 from ..protocol.values import ValueType
-from .holes import PartialAnswer
 from .items import Borders, PlanOptions
 from .meaning import Meaning, NoValue
 from .plan import Plan
 from .point import Point
+from .refusals import PartialAnswer
 from .scaling import scaling_by
 
 

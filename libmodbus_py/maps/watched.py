@@ -13,9 +13,9 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 from ..protocol.errors import ModbusError
-from .holes import is_refusal
 from .items import NamedValues, PlanOptions
 from .meaning import NoValue
+from .refusals import is_refusal
 
 if TYPE_CHECKING:
     from typing import Unpack

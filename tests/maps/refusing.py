@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from libmodbus_py.errors import IllegalDataAddress, ModbusError
-from libmodbus_py.maps.holes import Holes, carried_out, reading
 from libmodbus_py.maps.plan import Plan, unreadable_of
+from libmodbus_py.maps.refusals import Refusals, carried_out, reading
 
 H = "holding_registers"
 
@@ -52,7 +52,7 @@ class Polls:
     def __init__(self, plan: Plan, device: Any) -> None:
         self.plan = plan
         self.device = device
-        self.holes = Holes()
+        self.refusals = Refusals()
         self.news: list[str] = []
         self.connects = 1
 
@@ -71,7 +71,7 @@ class Polls:
     def steps(self, now: float = 0.0, *, is_strict: bool = False) -> Any:
         tell = self.news.append
         blocks, connects = self.plan.blocks, self.connects
-        return reading(blocks, self.holes, now, connects, is_strict=is_strict, tell=tell)
+        return reading(blocks, self.refusals, now, connects, is_strict=is_strict, tell=tell)
 
     def answers(self, now: float = 0.0, *, is_strict: bool = False) -> tuple[int, list[Any]]:
         """Read the plan; return the number of requests, and the answers."""
@@ -94,7 +94,7 @@ class Polls:
 
     @property
     def unreadable(self) -> list[Any]:
-        return [each.name for each in unreadable_of(self.plan, self.holes, "device")]
+        return [each.name for each in unreadable_of(self.plan, self.refusals, "device")]
 
 
 def singles(count: int) -> Plan:

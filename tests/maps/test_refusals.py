@@ -1,4 +1,4 @@
-"""Plans of devices that fail in other ways, or change: no hole is made up, no value is wrong."""
+"""Plans of devices that fail in other ways, or change: nothing is left out in vain."""
 
 import random
 from typing import Any
@@ -33,7 +33,7 @@ from tests.support.cases import each_case
 def test_other_failures_are_no_holes(error: ModbusError) -> None:
     polls = Polls(singles(200), Registers(then=leaving(0, error)))
     assert polls.requests(20) == [2] * 20
-    assert not polls.holes
+    assert not polls.refusals
 
 
 @each_case("error", [ServerDeviceBusy(), ModbusTimeoutError("silence")])
@@ -78,20 +78,20 @@ def test_a_run_that_is_left_leaves_what_was_learnt_whole() -> None:
 
 
 def test_a_strict_reading_names_what_was_refused() -> None:
-    for hole in range(20):
-        polls = Polls(singles(40), Registers([hole, 30]))
+    for address in range(20):
+        polls = Polls(singles(40), Registers([address, 30]))
         for most in (1 + 12, 2):
             count, answers = polls.strictly()
             (error,) = [each for each in answers if isinstance(each, ModbusError)]
-            assert error.names == (hole,)
-            assert str(error).startswith(f"{hole}: illegal data address")
+            assert error.names == (address,)
+            assert str(error).startswith(f"{address}: illegal data address")
             assert count <= most
-        assert polls.unreadable == [hole]
+        assert polls.unreadable == [address]
         polls.device.missing.clear()
         count, answers = polls.strictly()
         assert polls.plan.results(answers) == [[at] for at in range(40)]
         assert count == 1
-        assert not polls.holes
+        assert not polls.refusals
 
 
 def test_a_known_hole_that_is_answered_is_not_named() -> None:
@@ -213,11 +213,11 @@ def test_a_hole_is_found_although_its_refusal_changes() -> None:
         device.refusal = chance.choice(moods)
         return answer
 
-    for hole in range(20):
-        polls = Polls(singles(20), Registers([hole], then=change))
+    for address in range(20):
+        polls = Polls(singles(20), Registers([address], then=change))
         losses = [lost(polls.poll(now)[1]) for now in range(50)]
-        assert losses[-1] == polls.unreadable == [hole]
-        assert all(hole in each for each in losses)
+        assert losses[-1] == polls.unreadable == [address]
+        assert all(address in each for each in losses)
 
 
 FAILURES = (ModbusTimeoutError, ServerDeviceBusy, InvalidResponse, IllegalDataAddress)

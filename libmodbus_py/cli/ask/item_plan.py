@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from ...maps.holes import Holes, carried_out, reading
 from ...maps.items import Borders
 from ...maps.plan import Plan
+from ...maps.refusals import Refusals, carried_out, reading
 from ...protocol.errors import ModbusError
 from .items import Item, cells_of, requests_of
 
@@ -24,22 +24,22 @@ class ItemPlan(Plan):
         items: Sequence[Item],
         borders: Borders,
         max_registers: int,
-        holes: Holes | None = None,
+        refusals: Refusals | None = None,
     ) -> None:
         others = [at for at, item in enumerate(items) if item.table in ("file", "fifo_queue")]
         self._others = {at: (items[at], requests_of(items[at], max_registers)) for at in others}
         reads = {at: item.read for at, item in enumerate(items) if at not in others}
         super().__init__(reads, borders=borders, max_registers=max_registers)
         self._limits = borders, max_registers
-        self._holes = Holes() if holes is None else holes
+        self._refusals = Refusals() if refusals is None else refusals
 
     def of(self, items: Sequence[Item]) -> ItemPlan:
         """Return a plan of some of the items, which knows what the device refuses."""
-        return ItemPlan(items, *self._limits, self._holes)
+        return ItemPlan(items, *self._limits, self._refusals)
 
     def cells(self, ask: Callable[[Sequence[Any]], list[Any]], connects: int) -> dict[int, Any]:
         """Return the cells of each item by its index, or the error in place of them."""
-        steps = reading(self.blocks, self._holes, time.monotonic(), connects)
+        steps = reading(self.blocks, self._refusals, time.monotonic(), connects)
         cells: dict[int, Any] = self.results(carried_out(steps, ask))
         answers = iter(ask([each for _, requests in self._others.values() for each in requests]))
         for at, (item, requests) in self._others.items():

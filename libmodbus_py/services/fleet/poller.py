@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 from ...client.asynchronous import AsyncClient
 from ...client.reconnecting import State
 from ...client.sender import Sender
-from ...maps.holes import Holes, PartialAnswer, Unreadable, is_refusal, reading
 from ...maps.plan import unreadable_of
+from ...maps.refusals import PartialAnswer, Refusals, Unreadable, is_refusal, reading
 from ...maps.watched import TOLERANCE, PointIntervals, Totals
 from ...protocol.errors import ModbusConnectionError, ModbusError
 from ...protocol.logs import HarmlessLogger
@@ -83,7 +83,7 @@ class Poller(LineRequest):
         own = self.reads.intervals
         self._pace = PointIntervals(own, config.interval) if any(own) else None
         self._due: tuple[int, ...] | None = None
-        self._holes = Holes()
+        self._refusals = Refusals()
         # Writes under way, and what ends the pause after the last one; whether the device was
         # written to since the last poll began, and the indexes of these points.
         self.writes: int = 0
@@ -152,7 +152,7 @@ class Poller(LineRequest):
     def unreadable(self) -> list[Unreadable]:
         """The points that the device refuses, and that are left out until they are tried again."""
         device = f"{self.config.endpoint}, unit {self.config.unit}"
-        return unreadable_of(self.reads.plan, self._holes, device)
+        return unreadable_of(self.reads.plan, self._refusals, device)
 
     def note_written(self, names: Iterable[str]) -> None:
         """Note points that were written: the next poll reads and reports them in any case."""
@@ -184,7 +184,7 @@ class Poller(LineRequest):
         self._is_answered = False
         self._steps: Generator[Any, Any, list[Any]] | None = None
         self._outcomes: list[Any] = []
-        self._requests: Sequence[Any] = self._search() if self._holes else self._plan.requests
+        self._requests: Sequence[Any] = self._search() if self._refusals else self._plan.requests
         self._advance()
 
     def take_outcome(self, outcome: Any, now: float) -> None:
@@ -220,7 +220,7 @@ class Poller(LineRequest):
     def _search(self) -> Sequence[Any]:
         """Begin to leave out what is refused; return the first requests."""
         tell = partial(logger.warning, "%s: cannot be read: %s", self.name)
-        self._steps = reading(self._plan.blocks, self._holes, *self._time, tell=tell)
+        self._steps = reading(self._plan.blocks, self._refusals, *self._time, tell=tell)
         return next(self._steps)
 
     def _go_on(self) -> None:

@@ -1,4 +1,4 @@
-"""Plans of devices that cannot read everything: which holes are found, and what it costs."""
+"""Plans of devices that cannot read everything: what is left out, and what it costs."""
 
 import random
 from collections.abc import Iterable
@@ -56,7 +56,7 @@ def test_items_without_a_hole_have_their_values(items, gap, missing, lost_ones, 
 def test_an_item_that_cannot_be_read_is_named_with_its_cells() -> None:
     polls = Polls(Plan({"v5": (H, 10, 1, "uint32")}), Registers([11]))
     polls.poll()
-    assert [str(each) for each in unreadable_of(polls.plan, polls.holes, "device")] == [
+    assert [str(each) for each in unreadable_of(polls.plan, polls.refusals, "device")] == [
         "v5, holding_registers 10..11 (2 registers): illegal data address (exception 2)"
     ]
 
@@ -104,7 +104,7 @@ def test_a_device_that_refuses_everything_is_asked_once_a_run(count: int) -> Non
 
 
 def test_a_device_that_only_refuses_is_not_searched_further_at_the_next_run() -> None:
-    """Of 2000 coils two are found, by two requests for each of 11 halvings; then all are holes."""
+    """Of 2000 coils two are found, by two requests for each of 11 halvings; then none is read."""
     polls = Polls(Plan([("coils", at) for at in range(2000)]), Registers(range(65536)))
     assert polls.requests(20) == [1 + 22] + [1] * 19
 
@@ -155,8 +155,8 @@ def test_each_run_tries_one_hole_again() -> None:
     polls.device.asked.clear()
     counts = [polls.poll(now)[0] for now in range(598, 605)]
     assert counts == [4, 4, 5, 5, 5, 4, 4]
-    for hole in (5, 9, 13):
-        assert polls.device.asked.count((hole, 1)) == 1
+    for address in (5, 9, 13):
+        assert polls.device.asked.count((address, 1)) == 1
 
 
 def test_a_hole_that_answers_is_read_at_once() -> None:
@@ -164,7 +164,7 @@ def test_a_hole_that_answers_is_read_at_once() -> None:
     polls.poll(0)
     polls.device.missing = {13}
     count, values = polls.poll(600)
-    # Three portions and a trial; as that is answered, the other two holes.
+    # Three portions and a trial; as that is answered, the other two.
     assert count == 4 + 1 + 2
     assert lost(values) == [13]
     assert polls.poll(601)[0] == 2
@@ -196,7 +196,7 @@ def test_a_trial_that_fails_is_a_trial() -> None:
     silent = Registers([5], refusal=ModbusTimeoutError)
     polls.device = silent
     assert [polls.poll(now)[0] for now in (600, 601)] == [3, 2]
-    assert isinstance(unreadable_of(polls.plan, polls.holes, "")[0].error, IllegalDataAddress)
+    assert isinstance(unreadable_of(polls.plan, polls.refusals, "")[0].error, IllegalDataAddress)
 
 
 def test_a_shorter_request_is_tried_again_too() -> None:

@@ -6,22 +6,22 @@ a value is never cut. A device that cannot read one piece refuses the whole requ
 2, 3 or 4.
 
 1. A request that is refused is halved, and both halves are asked for, until single pieces are
-   known. A piece that is refused alone is a hole. One hole among 20 pieces costs up to 10 requests.
-2. Later runs leave holes out, and read what lies between two holes with one request.
+   known. A piece that is refused alone is left out. One among 20 pieces costs up to 10 requests.
+2. Later runs leave such pieces out, and read what lies between two with one request.
 3. If both halves of a refused request are answered, the device takes no request that long, or
    cannot read cells between the halves: later requests begin at the second half. This is a cut.
-4. A run asks for one hole again, the one that was asked for longest ago, if that was ten minutes
-   ago or on an earlier connection, or if all pieces are holes. If it is answered, the device has
-   changed: all holes are forgotten, and asked for at once. Cuts are forgotten when they are as old.
+4. A run asks for one of them again, the one that was asked for longest ago, if that was ten minutes
+   ago or on an earlier connection, or if all pieces are left out. If it is answered, the device has
+   changed: all are forgotten, and asked for at once. Cuts are forgotten when they are as old.
 5. While a run has no answer at all, it halves down to two pieces only, because each request may
-   take the time that a gateway waits for a silent device; all that was refused is holes then.
+   take the time that a gateway waits for a silent device; all that was refused is left out then.
 6. Another failure, such as silence or a busy device, says nothing about pieces. It ends the
    search of that run.
 7. Requests of which nothing is answered end with the first that is not, because each of the others
    would take as long. The next ones begin with another request: the device may be silent about some
    of them only.
 
-Holes are known by their cells, so that all plans of a unit share them.
+Refusals are known by their cells, so that all plans of a unit share them.
 """
 
 from __future__ import annotations
@@ -134,18 +134,18 @@ class PastRefusal(NamedTuple):
 
 
 @dataclass(slots=True)
-class Holes:
+class Refusals:
     """What one client knows of a unit: refused pieces, where requests begin, and the first one."""
 
-    refused: dict[Span, PastRefusal] = field(default_factory=dict)
+    pieces: dict[Span, PastRefusal] = field(default_factory=dict)
     cuts: dict[tuple[Any, ...], PastRefusal] = field(default_factory=dict)
     first: int = 0
 
     def __bool__(self) -> bool:
-        return bool(self.refused or self.cuts)
+        return bool(self.pieces or self.cuts)
 
     def forget(self) -> None:
-        self.refused.clear()
+        self.pieces.clear()
         self.cuts.clear()
 
 
@@ -161,9 +161,11 @@ class PartialAnswer(list[Any]):
 class _PlanRun:
     """One run of a plan at one unit."""
 
-    def __init__(self, blocks: Sequence[Block], holes: Holes, now: float, connects: int) -> None:
+    def __init__(
+        self, blocks: Sequence[Block], refusals: Refusals, now: float, connects: int
+    ) -> None:
         self._blocks = blocks
-        self._holes = holes
+        self._refusals = refusals
         # The first connection is made by the first request.
         self._time = now, max(connects, 1)
         self._read: dict[Span, Any] = {}  # piece -> its cells, or why they were not read
@@ -175,11 +177,11 @@ class _PlanRun:
         return (piece for block in self._blocks for piece in block)
 
     def tolerant(self) -> _PlanSteps[list[Any]]:
-        """Read all pieces but the holes, and search for others."""
+        """Read all pieces but those refused before, and search for others."""
         self._forget_old_cuts()
-        reasons = self._holes.refused.copy()
+        reasons = self._refusals.pieces.copy()
         left_out = {piece: reasons[piece.span] for piece in self._pieces if piece.span in reasons}
-        self._read = {piece.span: alike(hole.error) for piece, hole in left_out.items()}
+        self._read = {piece.span: alike(past.error) for piece, past in left_out.items()}
         portions = self._portions()
         trials = sorted(left_out, key=lambda piece: left_out[piece].at)[:1]
         if portions and trials and not left_out[trials[0]].is_due(*self._time):
@@ -188,13 +190,13 @@ class _PlanRun:
         for piece in trials:
             outcome = self._read[piece.span]
             if not isinstance(outcome, ModbusError):
-                self._holes.forget()
+                self._refusals.forget()
                 for other in left_out.keys() - trials:
                     self._read.pop(other.span, None)
                 refusals += yield from self._send(self._portions())
             else:
                 error = outcome if is_refusal(outcome) else left_out[piece].error
-                self._holes.refused[piece.span] = PastRefusal(error, *self._time)
+                self._refusals.pieces[piece.span] = PastRefusal(error, *self._time)
         yield from self._search(refusals)
         return [self._answer(block) for block in self._blocks]
 
@@ -216,7 +218,7 @@ class _PlanRun:
                 return [reason or outcome]
             if len(block) == 1:
                 return [self._named(block[0])]
-            if pieces := [piece for piece in block if piece.span in self._holes.refused][:1]:
+            if pieces := [piece for piece in block if piece.span in self._refusals.pieces][:1]:
                 blocks = [(pieces, outcome), (block, reason), *rest]
                 continue
             first, second = _halves(block)
@@ -229,7 +231,7 @@ class _PlanRun:
         return [self._answer(block) for block in self._blocks]
 
     def news(self) -> Iterator[str]:
-        """Yield a sentence about all holes that were found side by side."""
+        """Yield a sentence about all pieces that were refused side by side."""
         for block in self._blocks:
             for is_new, group in groupby(block, lambda piece: piece.span in self._found):
                 if is_new:
@@ -239,19 +241,19 @@ class _PlanRun:
                     yield f"{text}, {_span(pieces)}: {_reason_of(self._read[pieces[0].span])}"
 
     def _forget_old_cuts(self) -> None:
-        cuts = self._holes.cuts
+        cuts = self._refusals.cuts
         for at in [at for at, cut in cuts.copy().items() if cut.is_due(*self._time)]:
             cuts.pop(at, None)
 
     def _portions(self) -> list[list[BlockPiece]]:
-        """Return what is to be asked for, in as few requests as holes and cuts allow."""
+        """Return what is to be asked for, in as few requests as refusals and cuts allow."""
         portions: list[list[BlockPiece]] = []
         for block in self._blocks:
             is_open = False
             for piece in block:
                 if piece.span in self._read:
                     is_open = False
-                elif is_open and piece.span[:2] not in self._holes.cuts:
+                elif is_open and piece.span[:2] not in self._refusals.cuts:
                     portions[-1].append(piece)
                 else:
                     portions.append([piece])
@@ -283,8 +285,8 @@ class _PlanRun:
             self._keep(block, outcome)
             if isinstance(outcome, ModbusError):
                 return at
-            if any(piece.span in self._holes.refused for piece in block):
-                self._holes.forget()
+            if any(piece.span in self._refusals.pieces for piece in block):
+                self._refusals.forget()
         return len(requests)
 
     def _has_failed(self, block: Block) -> bool:
@@ -293,7 +295,7 @@ class _PlanRun:
         return isinstance(outcome, ModbusError) and not is_refusal(outcome)
 
     def _search(self, blocks: list[Block]) -> _PlanSteps[None]:
-        """Find the holes in what was refused."""
+        """Find the pieces to leave out in what was refused."""
         blocks.sort(key=len, reverse=True)
         is_second = False  # True once a piece was refused alone
         while blocks:
@@ -323,13 +325,13 @@ class _PlanRun:
         return error
 
     def _add(self, piece: BlockPiece) -> None:
-        if piece.span not in self._holes.refused:
+        if piece.span not in self._refusals.pieces:
             self._found.add(piece.span)
-        self._holes.refused[piece.span] = PastRefusal(self._read[piece.span], *self._time)
+        self._refusals.pieces[piece.span] = PastRefusal(self._read[piece.span], *self._time)
 
     def _add_cut(self, block: Block, error: ModbusError) -> None:
         """Note that requests begin with a block."""
-        self._holes.cuts[block[0].span[:2]] = PastRefusal(error, *self._time)
+        self._refusals.cuts[block[0].span[:2]] = PastRefusal(error, *self._time)
 
     def _answer(self, block: Block) -> Any:
         """Return the answer to the request of a block, as `Plan.results` takes it."""
@@ -350,7 +352,7 @@ class _PlanRun:
 
 def reading(
     blocks: Sequence[Block],
-    holes: Holes,
+    refusals: Refusals,
     now: float,
     connects: int,
     *,
@@ -363,9 +365,10 @@ def reading(
     `now` is in seconds of any steady clock. A strict reading asks for everything, and halves what
     is refused, until a piece is refused alone or a request fails in another way: its only answer is
     that error, with the names of the piece.
-    `tell` is called with a sentence about each hole that was found, or holes side by side.
+    `tell` is called with a sentence about each piece that is left out from now on, or pieces side
+    by side.
     """
-    run = _PlanRun(blocks, holes, now, connects)
+    run = _PlanRun(blocks, refusals, now, connects)
     try:
         return (yield from (run.strict() if is_strict else run.tolerant()))
     finally:
