@@ -132,7 +132,7 @@ def poll(
                         screen.cancel()
         return 0
 
-    journal = file.made_journal()
+    journal = file.make_journal()
     return run_to_end(work())
 
 

@@ -129,7 +129,7 @@ def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
     show = partial(_show, has_table) if has_screen else None
     if options.engine is not None:
         return workers.poll(options, file, outputs, seen, show, hangup)
-    fleet = Fleet(file.devices, outputs=outputs, journal=file.made_journal())
+    fleet = Fleet(file.devices, outputs=outputs, journal=file.make_journal())
     with seen(fleet):
         workers.run_to_end(_run(fleet, options, file, hangup, show))
     if not options.once:
@@ -141,7 +141,7 @@ def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
 
 
 def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:
-    outputs = file.made_outputs()
+    outputs = file.make_outputs()
     for kind in FILES:
         outputs += (make_output(kind, {"path": path}) for path in getattr(options, kind))
     if not (outputs or options.metrics or options.page or options.engine or sys.stdout.isatty()):

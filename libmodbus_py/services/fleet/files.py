@@ -87,11 +87,11 @@ class FleetFile:
     engine: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
-    def made_outputs(self) -> list[Output]:
+    def make_outputs(self) -> list[Output]:
         """Return new outputs; each can be used by one fleet only."""
         return [make_output(kind, keys) for kind, keys in self.outputs]
 
-    def made_journal(self) -> Journal | None:
+    def make_journal(self) -> Journal | None:
         """Return a new journal, which can be used by one fleet only; None if there is none."""
         return Journal(**self.journal) if self.journal else None
 

@@ -139,7 +139,7 @@ class Fleet:
                 values.
         """
         file = load(path)
-        outputs, journal = file.made_outputs(), file.made_journal()
+        outputs, journal = file.make_outputs(), file.make_journal()
         return cls(file.devices, outputs=outputs, journal=journal, may_ask=may_ask)
 
     # --- life -------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ class OutputStatistics:
         failures: failed attempts to open the output or to write to it.
         trouble: the error of the output now; empty if it works.
         trouble_since: when the output began to fail, in seconds since the epoch; 0 if it never did.
-        caught_up: when no more readings waited than one batch (time.monotonic).
+        no_backlog_at: when no more readings waited than one batch (time.monotonic).
     """
 
     buffer: Buffer = field(repr=False)
@@ -34,12 +34,12 @@ class OutputStatistics:
     failures: int = 0
     trouble: str = ""
     trouble_since: float = 0.0
-    caught_up: float = field(default_factory=time.monotonic, repr=False)
+    no_backlog_at: float = field(default_factory=time.monotonic, repr=False)
 
     def note_batch(self, count: int) -> None:
         """Take note of how many readings are written next."""
         if self.waiting <= count:
-            self.caught_up = time.monotonic()
+            self.no_backlog_at = time.monotonic()
 
     @property
     def is_failing(self) -> bool:
@@ -49,7 +49,7 @@ class OutputStatistics:
     @property
     def is_behind(self) -> bool:
         """True if more readings than one batch have waited for `BEHIND_S` seconds."""
-        return self.waiting > 0 and time.monotonic() - self.caught_up > BEHIND_S
+        return self.waiting > 0 and time.monotonic() - self.no_backlog_at > BEHIND_S
 
     @property
     def dropped(self) -> int:

@@ -102,9 +102,9 @@ def test_default_dead_bands_of_points_that_a_device_does_not_read_are_left_out(
 
 def test_a_journal_of_a_file_is_made_with_its_keys(tmp_path: Path) -> None:
     path = fleet_in(tmp_path, SIMPLE)
-    assert load(path).made_journal() is None
+    assert load(path).make_journal() is None
     path.write_text(f'journal = "{tmp_path}/fleet.db"\n{SIMPLE}')
-    journal = load(path).made_journal()
+    journal = load(path).make_journal()
     assert journal is not None
     assert journal.path == f"{tmp_path}/fleet.db"
 
@@ -134,7 +134,7 @@ def test_a_file_with_every_key_is_read(tmp_path: Path, monkeypatch: pytest.Monke
     assert "secret" not in repr(file)
     fleet_of_it = Fleet.from_file(tmp_path / "fleet.toml")
     assert set(fleet_of_it.statistics.outputs) == set()
-    assert [type(each) for each in file.made_outputs()][1] is Mqtt
+    assert [type(each) for each in file.make_outputs()][1] is Mqtt
 
 
 def test_the_example_of_the_source_tree_can_be_loaded(monkeypatch: pytest.MonkeyPatch) -> None:

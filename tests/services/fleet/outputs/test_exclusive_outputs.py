@@ -58,7 +58,7 @@ def test_a_file_may_have_several_outputs_of_each_kind(tmp_path: Path) -> None:
             f'{SERVER}bucket = "c"\ntoken_file = "secret"\n',
         )
     )
-    assert len(Fleet(file.devices, outputs=file.made_outputs())._receivers.outputs) == 15
+    assert len(Fleet(file.devices, outputs=file.make_outputs())._receivers.outputs) == 15
 
 
 def test_a_file_with_two_outputs_to_one_place(tmp_path: Path, refused: Refused) -> None:
