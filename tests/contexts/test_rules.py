@@ -85,26 +85,26 @@ def test_after_a_timeout_the_next_call_connects_again() -> None:
 
 def test_after_a_timeout_a_line_has_to_be_silent() -> None:
     def chatter(request: bytes, write: Write) -> None:
-        write(b"\x55", after=0.25)
+        write(b"\x55", after=0.6)
 
-    with peer_at("rtu", chatter) as peer, context_at(peer.url, timeout=0.2) as context:
+    with peer_at("rtu", chatter) as peer, context_at(peer.url, timeout=0.5) as context:
         with pytest.raises(ModbusTimeoutError):
             context.read_holding_registers(1, 1)
         peer.on_request = on_read_at("rtu")
         assert context.read_holding_registers(2, 1) == [2]
-        # The byte came 0.25 s after the request, and then 0.2 s have to pass.
-        assert peer.times[1] - peer.times[0] >= 0.43
+        # The byte came 0.6 s after the request, and then 0.5 s have to pass.
+        assert peer.times[1] - peer.times[0] >= 1.08
 
 
 def test_a_new_context_takes_no_late_answer_to_a_request_of_the_last_one() -> None:
     def late(request: bytes, write: Write) -> None:
-        write(answer(request, "rtu"), after=0.25)
+        write(answer(request, "rtu"), after=0.6)
 
     with peer_at("rtu", late) as peer:
-        with context_at(peer.url, timeout=0.2) as context, pytest.raises(ModbusTimeoutError):
+        with context_at(peer.url, timeout=0.5) as context, pytest.raises(ModbusTimeoutError):
             context.read_holding_registers(1, 1)
         peer.on_request = on_read_at("rtu")
-        with context_at(peer.url, timeout=0.2) as context:
+        with context_at(peer.url, timeout=0.5) as context:
             assert context.read_holding_registers(2, 1) == [2]
 
 
@@ -553,7 +553,7 @@ def test_what_custom_rts_raises_is_the_cause_of_the_error_of_the_call(failing, a
         if is_sending is failing and calls == [True, False][: len(calls)]:
             raise LookupError("no line 17")
 
-    with peer_at("rtu", on_read_at("rtu")) as peer, context_at(peer.url, timeout=0.1) as context:
+    with peer_at("rtu", on_read_at("rtu")) as peer, context_at(peer.url, timeout=0.5) as context:
         assert isinstance(context, RtuContext)
         context.set_custom_rts(turn)
         calls.append(False)  # nothing fails yet

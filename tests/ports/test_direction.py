@@ -140,7 +140,7 @@ def test_what_a_function_raises_fails_its_request_and_the_line_receives(
 
 def test_an_interrupted_function_leaves_the_line_receiving(events: list[object], unit: LinePeer):
     turn = failing(events, 1, 5, error=KeyboardInterrupt)
-    with Client(f"rtu://{unit.path}", rs485=turn) as plc:
+    with Client(f"rtu://{unit.path}", rs485=turn, timeout=10) as plc:
         for calls in ([False, True, False], [False, True, SENT, False, False]):
             with pytest.raises(KeyboardInterrupt):
                 plc.read_holding_registers(0, 1)
