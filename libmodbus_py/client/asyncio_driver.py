@@ -190,9 +190,9 @@ class AsyncioDriver:
         loop = asyncio.get_running_loop()
         if self._loop is None:
             self._loop = loop
-            # What most loops read, without a call of Python for it.
-            is_usual = type(loop).time is asyncio.BaseEventLoop.time
-            self._now = monotonic if is_usual else loop.time
+            # What most loops read, without a call of Python for it; tests may replace the method.
+            usual = asyncio.BaseEventLoop.time
+            self._now = monotonic if getattr(loop.time, "__func__", None) is usual else loop.time
         elif self._loop is not loop:
             raise RuntimeError("this client belongs to another event loop; make one for each loop")
         return loop

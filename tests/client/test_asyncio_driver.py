@@ -3,18 +3,25 @@
 import asyncio
 import contextlib
 import os
+import time
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, Client, ModbusConnectionError, State, pdu
+from libmodbus_py import (
+    AsyncClient,
+    Client,
+    ModbusConnectionError,
+    State,
+    pdu,
+)
 from libmodbus_py.client.sender import Sender
 from tests.simulation.ports import memory_port
 from tests.simulation.scripted import Scripted, Write
 from tests.support.driver import value
 from tests.support.in_loops import run_client
-from tests.support.peers import FakeServer, echo
+from tests.support.peers import FakeServer, TcpPeer, echo
 from tests.support.scripted import run
 
 
@@ -160,3 +167,16 @@ def test_values_of_a_watch_come_in_the_way_of_its_client() -> None:
     with pytest.raises(TypeError, match="'BlockingPolls' object is not an async iterator"):
         anext(plc.watch(items, every=1))  # type: ignore[call-overload]
     plc.close()
+
+
+def test_a_clock_that_was_put_in_place_of_the_loops_own_counts(monkeypatch) -> None:
+    """As some tools for tests do it."""
+
+    async def ask(url: str) -> None:
+        loop = asyncio.get_running_loop()
+        monkeypatch.setattr(loop, "time", lambda: 1e6 + time.monotonic())
+        async with AsyncClient(url, timeout=30) as plc:
+            assert await plc.read_holding_registers(5, 1) == [5]
+
+    with TcpPeer(lambda request, write: write(echo(request), after=0.1)) as peer:
+        asyncio.run(ask(peer.url))
