@@ -503,10 +503,10 @@ def run(has_ids: bool, changes: bool, retries: int, steps: Steps) -> World:
     is_lost_once &= not any(move == "closed" for move, _ in steps)
     if retries and is_lost_once and any(each.has_failed for each in world.asked):
         world.errors.add("repeated")
-    number = 0
-    while number < 12 or world.now <= world.faulty_until:
+    while world.now <= world.faulty_until:
+        world.move("A", "good")
+    for number in range(12):
         world.move("AB"[number % 2], "good")
-        number += 1
     found = set(world.errors)
     world.errors.clear()
     first = len(world.asked)

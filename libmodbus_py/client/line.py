@@ -44,8 +44,9 @@ of events that this table can meet; what it cannot tell apart is named in `EXCEP
 history of a line outlives its clients (`history`).
 
 The silence lasts twice the time of the slowest answer that the unit ever gave, one timeout if it
-gave none. An answer is due to be checked after DOUBT and after a late frame of its unit; then after
-twice as long each time, and at least once in ten timeouts. On a line without a history, the first
+gave none. An answer is due to be checked after DOUBT, after a late frame of its unit and after one
+that took unusually long or short; then after twice as long each time, and at least once in ten
+timeouts. On a line without a history, the first
 answer is held until the line has been open for 60 ms.
 
 A line keeps the order of requests to a unit: those behind one that waits wait, too
@@ -269,11 +270,14 @@ class Line(Matching):
 
     def _take_answer(self, call: Call, pdu: bytes, now: float) -> None:
         pair, took = self._pair(call, now), now - call.sent_at
+        longest = TIMES_SLOWEST * (self._history.slowest_of(call.unit) or math.inf)
+        is_unusual = took > longest or pair.is_too_fast(len(pdu), took)
+        if is_unusual:
+            pair.interval = 0.0  # the next one is checked, too: its time may end before HOLD does
         if (
             pair.is_doubted
             or self._is_opened
-            or pair.is_too_fast(len(pdu), took)
-            or took > TIMES_SLOWEST * (self._history.slowest_of(call.unit) or math.inf)
+            or is_unusual
             or pair.is_of_another(call.pdu, pdu)
             or pair.is_due(now, TIMEOUTS_BETWEEN_CHECKS * call.timeouts.timeout)
         ):

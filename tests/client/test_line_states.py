@@ -482,3 +482,19 @@ def test_answers_beside_the_first_are_counted(data: bytes, late: int) -> None:
     driver.come(value(1) + data)
     assert batch.outcomes == [[1]]
     assert driver.statistics.late_answers == late
+
+
+def test_a_shift_that_begins_with_a_slow_answer_ends_with_the_next_one() -> None:
+    """A duplicate comes so late that its HOLD is cut short by the end of the request in flight."""
+    driver = used()
+    late = driver.ask(5)
+    driver.wait(0.98)
+    driver.come(value(4))  # of a request long ago
+    driver.wait(0.03)
+    assert late.outcomes == [[4]]  # HOLD would take until 1.96 s
+    behind = driver.ask(6)
+    driver.wait(0.01)
+    driver.come(value(5))  # each answer comes one request too late
+    driver.wait(0.01)
+    driver.come(value(6))
+    assert kinds(behind) == [InvalidResponse]
