@@ -1,5 +1,5 @@
-# Make vmlinuz, Debian's kernel for virtual machines, and initramfs: a Python, the wheel as it is
-# built, and guest.py. $1: the Python of the virtual environment; $2: its file; $3: its library.
+# Make vmlinuz, Debian's kernel for virtual machines, and initramfs: the Python of a virtual
+# environment, $1, which starts first; the wheel as it is built; and guest.py.
 set -eu
 mkdir -p build/uart
 cd build/uart
@@ -13,11 +13,12 @@ rm -rf root
 mkdir -p root/site root/proc root/sys root/dev root/tmp
 "$1" -m pip install -q --disable-pip-version-check --no-build-isolation --target root/site ../..
 cp ../../tests/uart/guest.py root/site
-printf '#!%s -u\nimport guest\n' "$2" >root/init
-chmod +x root/init
-libraries=$(find "$2" "$3/lib-dynload" root/site -name '*.so' -o -path "$2" |
+python=$(readlink -f "$1")
+library=$("$1" -c 'import os; print(os.path.dirname(os.__file__))')
+ln -s "$python" root/init
+libraries=$(find "$python" "$library/lib-dynload" root/site -name '*.so' -o -path "$python" |
     xargs ldd | sed -n 's/^[^/]*\(\/[^ ]*\) (0x.*/\1/p' | sort -u)
-tar -ch --exclude=*/site-packages --exclude=*/test --exclude=*/config-* \
-    -C / "${2#/}" "${3#/}" $(echo "$libraries" | sed 's/^.//') | tar -x -C root
+tar -chP --exclude=*/site-packages --exclude=*/test --exclude=*/config-* \
+    "$python" "$library" $libraries | tar -xP --transform='s,^/,root/,'
 cd root
 find . | cpio --quiet -o -H newc >../initramfs
