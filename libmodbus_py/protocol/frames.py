@@ -176,7 +176,6 @@ UNIT, FUNCTION = 6, 7
 
 _HEADER = struct.Struct(">HHH")
 _MBAP = struct.Struct(">HHHB")  # with the unit
-_MOST = 1 + MAX_PDU  # as the length in a header counts
 
 
 def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
@@ -204,7 +203,7 @@ def cut(data: bytes, start: int, results: list[Frame | FrameError], most: int) -
     while most and size - start >= 6:
         transaction, protocol, length = _HEADER.unpack_from(data, start)
         end = start + 6 + length
-        if not 2 <= length <= _MOST:
+        if not 2 <= length <= 1 + MAX_PDU:
             received = data[start : start + MAX_RECEIVED]
             raise FrameError(f"header with length {length}, not 2..254", received=received)
         if size < end:
@@ -225,7 +224,7 @@ def is_one_frame(data: bytes) -> bool:
     """Return True if the bytes are one whole frame with an MBAP header, and nothing else."""
     size = len(data)
     return (
-        8 <= size <= UNIT + _MOST
+        8 <= size <= FUNCTION + MAX_PDU
         and size == _HEADER.size + (data[4] << 8 | data[5])
         and not (data[2] or data[3])
     )
@@ -269,7 +268,7 @@ class TcpFramer(Framer):
         This takes a quarter of the time of `scan`.
         """
         size = len(data)
-        if FUNCTION < size <= UNIT + _MOST and not self.rest and self.in_step:
+        if FUNCTION < size <= FUNCTION + MAX_PDU and not self.rest and self.in_step:
             transaction, protocol, length, unit = _MBAP.unpack_from(data)
             if length == size - UNIT and not protocol:
                 return unit, data[FUNCTION:], transaction

@@ -8,6 +8,7 @@ register list and attributes.csv, of modpoll's examples, and of lists on vendors
 """
 
 import importlib
+import json
 from pathlib import Path
 from typing import Any
 
@@ -20,112 +21,14 @@ from tests.support.cases import each_case
 from tests.support.golden import Refused
 
 # The lists, by the names of their files.
-TEXTS = {
-    path.stem: path.read_bytes().decode() for path in (Path(__file__).parent / "lists").iterdir()
-}
+HERE = Path(__file__).parent
+TEXTS = {path.stem: path.read_bytes().decode() for path in (HERE / "lists").iterdir()}
 
-# A list; the options with which it loads; what each message names before they are given; and the
-# registers of points, with their values.
-Registers = tuple[str, list[int], Any]
-LISTS: list[tuple[str, dict[str, Any], list[str], list[Registers]]] = [
-    (
-        TEXTS["meter"],
-        {"table": "holding"},
-        ["--list table="],
-        [
-            ("U 40001", [2305], 230.5),
-            ("E", [0x7856, 0x3412], 0x12345678),
-            ("F", [0x4000, 0x459C], 50.0),
-            ("S", [0x4142, 0x4300], "ABC"),
-            ("U 40008", [0xFF07], 7),
-            ("T", [0x0041, 0x20AC, 0, 0x0042], "A\u20ac"),
-        ],
-    ),
-    (TEXTS["coils"], {"table": "coils"}, ["table="], [("Überspannung", [1], True)]),
-    (
-        TEXTS["two_units"],
-        {"first_address": "reference", "only": {"deviceId": "200"}},
-        ["--list 'only=deviceId=1'", "first_address=reference"],
-        [("A", [0xFFFF], -1)],
-    ),
-    (
-        TEXTS["nibe_f"],
-        {},
-        [],
-        [
-            ("BT1 Outdoor", [215], 21.5),
-            ("BT1 Outdoor", [0x8000], None),
-            ("Offset", [0x00FD], -3),
-            ("Offset", [0x0080], None),
-            ("Fan speed 41257", [55], 55),
-            ("Degree minutes", [0xFFF6, 0xFFFF], -1.0),
-        ],
-    ),
-    (
-        TEXTS["nibe_s"].replace("Default value", "Default"),
-        {},
-        [],
-        [
-            ("Outdoor (BT1)", [0xFFFB], -0.5),
-            ("Current (BE3)", [105, 0], 10.5),
-            ("Night cooling", [25], 25),
-        ],
-    ),
-    (
-        TEXTS["victron"],
-        {"origin": "victron", "only": {"dbus-service-name": "com.victronenergy.battery"}},
-        ["--from victron", "--list 'only=dbus-service-name=com.victronenergy.gps'"],
-        [
-            ("/Serial", [0x4851, 0x3132, 0, 0, 0, 0], "HQ12"),
-            ("/ConsumedAmphours", [75], -7.5),
-            ("/TimeToGo", [3], 300),
-            ("/Relay/0/State", [1], "Closed"),
-        ],
-    ),
-    (
-        TEXTS["victron_list"],
-        {},
-        [],
-        [("Battery voltage", [5312], 53.12), ("Relay status", [0], "Open")],
-    ),
-    (
-        TEXTS["modpoll"].replace("ref,coil01-08,0,bool8,rw\n", ""),
-        {"origin": "modpoll"},
-        ["--from modpoll"],
-        [("reg01", [7], 7), ("reg10", [1000, 0], 1.0), ("reg13", [0, 0x3F80], 1.0)],
-    ),
-    (
-        TEXTS["old_modpoll"],
-        {"origin": "modpoll"},
-        ["--from modpoll"],
-        [("Hz", [50], 50), ("CH1_kWh", [0, 105], 10.5)],
-    ),
-    (
-        TEXTS["german"],
-        {"encoding": "cp1252", "columns": {"scale": "Faktor"}},
-        ["--encoding", "--column scale=Faktor"],
-        [("Außentemperatur", [0xFFFF], -0.1), ("Sollwert", [43], 21.5)],
-    ),
-    (
-        TEXTS["chinese"],
-        {"encoding": "gbk", "columns": {"scale": "系数"}},
-        ["--encoding", "--column scale=系数"],
-        [("电压", [2305], 230.5), ("功率", [0xFFFF, 0xFFFE], -2)],
-    ),
-    (
-        TEXTS["markdown"],
-        {"table": "holding", "columns": {"address_hex": "Modbus address", "name": "name"}},
-        ["--list table=", "--column address_hex="],
-        [("ct1/voltage", [230], 230), ("total/energy", [0xFFFE, 0xFFFF], -2)],
-    ),
-    (TEXTS["french"], {}, [], [("Tension", [230], 230)]),
-    (TEXTS["spanish"], {}, [], [("Tensión", [0xFFFF], 0xFFFF)]),
-    (
-        TEXTS["huawei"],
-        {"table": "holding", "first_address": 0, "columns": {"divisor": "Gain"}},
-        ["--column divisor=Gain"],
-        [("Model", [0x5355] * 15, "SU" * 15), ("Active power", [0, 2500], 2.5)],
-    ),
+# A list, what is replaced in it, the options with which it loads, what each message names before
+# they are given, and the registers of points, with their values.
+LISTS: list[tuple[str, dict[str, Any], list[str], list[tuple[str, list[int], Any]]]] = [
+    (TEXTS[name].replace(*replaced), *others)
+    for name, replaced, *others in json.loads((HERE / "lists.json").read_bytes())
 ]
 
 
@@ -224,51 +127,9 @@ def test_what_has_two_meanings_is_refused_with_the_option_that_says_which(
     refused("two_meanings.txt", lambda text: load_text(tmp_path, text))
 
 
+# Texts, the options that say what is meant, and the arguments of their point.
 MEANINGS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
-    (f"{HEAD},Factor\na,holding,0,u16,10\n", {"columns": {"divisor": "Factor"}}, {"scale": 0.1}),
-    (
-        f"{HEAD},Factor,Format text\na,holding,0,u16,10,x\n",
-        {"columns": {"scale": "factor", "nothing": ["Format text"]}},
-        {"scale": 10},
-    ),
-    (
-        f"{HEAD},scale,Min,Max\na,holding,0,u16,0.1,5,50\n",
-        {"columns": {"raw_minimum": "Min", "raw_maximum": "Max"}},
-        {"minimum": 0.5, "maximum": 5},
-    ),
-    (f"{HEAD}\na,holding,0,string[8]\n", {"lengths": "registers"}, {"type": "string:16"}),
-    (f"{HEAD}\na,holding,0,STR8\n", {"lengths": "bytes"}, {"type": "string:8"}),
-    (f"{HEAD},registers\na,holding,0,STR8,4\n", {}, {"type": "string:8"}),
-    (
-        f"{HEAD}\na,holding,0,long\n",
-        {"types": {"long": "int32 CDAB"}},
-        {"type": "int32", "order": "CDAB"},
-    ),
-    (f"{HEAD}\na,holding,0,UINT32_CDAB\n", {}, {"type": "uint32", "order": "CDAB"}),
-    (f"{HEAD}\na,holding,0,int32\n", {"order": "CDAB"}, {"order": "CDAB"}),
-    (f"{HEAD}\na,holding,1,u16\n", {"first_address": 1}, {"address": 0}),
-    (f"{HEAD}\na,holding,40011,u16\n", {"first_address": 40001}, {"address": 10}),
-    (f"{HEAD}\na,holding,40011,u16\n", {"first_address": "reference"}, {"address": 10}),
-    ("name,address,type\na,7,u16\n", {"table": "ir"}, {"table": "input_registers", "address": 7}),
-    (f"{HEAD}\na,holding,0,u16\n", {"access": "read"}, {"access": "read"}),
-    (f"{HEAD.replace('address', 'Address (hex)')}\na,holding,0010,u16\n", {}, {"address": 16}),
-    (f"{HEAD.replace('address', 'Hex address')}\na,holding,0010,u16\n", {}, {"address": 16}),
-    (f"{HEAD}\na,holding,7,u16\n{HEAD}\n", {}, {"address": 7}),  # headings of two pages
-    ("name,address,type\na,40001-40002,int32\n", {}, {"address": 0, "type": "int32"}),
-    ("name,address,type\na,3x0012,u16\n", {}, {"table": "input_registers", "address": 11}),
-    ("signalName,registerAddress,dataType\na,40008,INT32\n", {}, {"type": "int32"}),
-    ("Data,Modbus,\nName,Address,Type\na,40008,s16\n", {}, {"type": "int16", "address": 7}),
-    (
-        f"{HEAD},Unit\na,holding,0,u16,1/10 V\n",
-        {"columns": {"scale_and_units": "Unit"}},
-        {"scale": 0.1, "units": "V"},
-    ),
-    (
-        f"{HEAD},Decimals\na,holding,0,u16,2\n",
-        {"columns": {"negative_exponent": "Decimals"}},
-        {"scale": 0.01},
-    ),
-    (f"{HEAD},power of ten\na,holding,0,u16,2\n", {}, {"scale": 100}),
+    *json.loads((HERE / "meanings.json").read_bytes()),
     (
         f'{HEAD},states\na,holding,0,u16,"0 = off;\n1 = on, or so"\n',
         {},

@@ -186,8 +186,6 @@ def test_a_length_of_its_own_is_the_only_one() -> None:
 
 
 class Unfinished(Request[None]):
-    """A class whose fields are never put into bytes."""
-
     function = 0x43
     request_length = response_length = pdu.fixed(2)
 
