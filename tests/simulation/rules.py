@@ -74,7 +74,8 @@ class Checker:
     answered: int = 0
     failed: int = 0
     # On a line an answer that comes later than any before, while the next one is late as well,
-    # gives one wrong value: "alone in HOLD" in docs/protocol/timing.md. It is one of 500 at most.
+    # gives one wrong value, and one more if that is later than its HOLD: "alone in HOLD" in
+    # docs/protocol/timing.md. They are two of 500 at most.
     is_line: bool = False
     wrong: int = 0
     results: Counter[str] = field(default_factory=Counter)
@@ -104,7 +105,7 @@ class Checker:
         unit, pdu = call.key
         if values[:2] != [unit, int.from_bytes(pdu[1:3], "big")] or len(values) != COUNT:
             self.wrong += 1
-            if self.wrong > self.is_line * (1 + self.answered // 500):
+            if self.wrong > 2 * self.is_line * (1 + self.answered // 500):
                 self.fail("an answer is the one to its request", f"{_text(call.key)} gave {values}")
             return
         if not call.began - call.age - EXACT <= time_of(values) <= self.events.now + EXACT:
