@@ -12,7 +12,7 @@ from importlib import import_module
 
 from ..version import __version__
 from .output import PROGRAM
-from .parser import Parser, Printing, declare, without_options
+from .parser import Parser, Printing, declare, shield_negatives
 
 TYPE_CHECKING = False  # typing alone takes a twentieth of what --version may
 if TYPE_CHECKING:
@@ -84,11 +84,11 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     if parser.commands:  # they have their own parsers
         if others and not others[0].startswith("-") and others[0] not in parser.commands:
             parser.refuse_command(others[0])
-        found, unknown = parser.parse_known_args(without_options(others))
+        found, unknown = parser.parse_known_args(shield_negatives(others))
     else:  # options may be anywhere between the words
         if message := equivalents(name, parser.flags, others):
             parser.error(message)
-        words = without_options(with_forms(parser, others))
+        words = shield_negatives(with_forms(parser, others))
         found, unknown = parser.parse_known_intermixed_args(words)
     if unknown:
         from ..protocol.mistakes import close_to

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
-from functools import partial
+from functools import partial, wraps
 
 from .foreign import place
 from .output import PROGRAM, complain
@@ -227,12 +227,14 @@ def declare(
         head, _, help = block.partition("\n")
         shown = head.removeprefix("rare ")
         flags, options = _shape(shown)
-        if "metavar" in options:
-            options["type"] = TYPES.get(options["metavar"], _as_typed)
+        if options.get("metavar") in TYPES:
+            options["type"] = TYPES[options["metavar"]]
         options |= {"help": " ".join(help.split()), **more.get(options["dest"], {})}
         words = options.pop("complete", None)
         if choices := options.pop("choices", None):
             words, options["type"] = choices, partial(_choice, choices)
+        if "metavar" in options:
+            options["type"] = _converting(options.get("type", str))
         usual_title = OPTIONS if flags else POSITIONAL
         group = target if isinstance(target, Group) else Group(target, usual_title, target)
         action = group.container.add_argument(*(flags or [options.pop("dest")]), **options)
@@ -272,17 +274,22 @@ TYPES: dict[str, Callable[[str], Any]] = {"URL": place, "N": int, "S": float}
 
 _HEAD = re.compile(r"(?P<flags>(?:-[-\w]+(?: |$))*)(?P<value>.*?)(?P<many> \.\.\.)?")
 
-
 _NEGATIVE = re.compile(r"-(\.?[0-9]|inf|nan)", re.IGNORECASE)
 
 
-def without_options(words: Iterable[str]) -> list[str]:
+def shield_negatives(words: Iterable[str]) -> list[str]:
     """Put a space before -1e5 and -inf, which argparse would else take for options."""
     return [f" {word}" if _NEGATIVE.match(word) else word for word in words]
 
 
-def _as_typed(text: str) -> str:
-    return text[1:] if text[0:1] == " " and _NEGATIVE.match(text, 1) else text
+def _converting(convert: Callable[[str], Any]) -> Callable[[str], Any]:
+    """Return a function that converts a word as it was typed."""
+
+    @wraps(convert)
+    def converted(text: str) -> Any:
+        return convert(text[1:] if text[:1] == " " and _NEGATIVE.match(text, 1) else text)
+
+    return converted
 
 
 def _choice(choices: Collection[str], text: str) -> str:

@@ -170,8 +170,6 @@ def test_values_of_a_watch_come_in_the_way_of_its_client() -> None:
 
 
 def test_a_clock_that_was_put_in_place_of_the_loops_own_counts(monkeypatch) -> None:
-    """As some tools for tests do it."""
-
     async def ask(url: str) -> None:
         loop = asyncio.get_running_loop()
         monkeypatch.setattr(loop, "time", lambda: 1e6 + time.monotonic())
