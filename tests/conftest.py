@@ -13,6 +13,7 @@ from hypothesis import settings
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.client.history import forget_lines
+from libmodbus_py.contexts import rtu
 from tests.simulation.lan import Lan
 from tests.support.c_programs import SOURCES, compile_c
 from tests.support.certificates import Pki
@@ -65,6 +66,7 @@ def _longest(item: pytest.Item) -> float:
 def _own_lines() -> None:
     """Forget what is known of lines: another test may have the same port, or the same clock."""
     forget_lines()
+    rtu._failures.clear()
 
 
 @pytest.fixture(scope="session", autouse=True)
