@@ -121,12 +121,13 @@ WRITE_HOOK_SERVER = "Server, hook for writes"
 METERED_SERVER = "Server, metrics scraped each second"
 TRIVIAL_SERVER = "no Modbus: answers in C"
 
-DEFAULT = "Client"
+CONTEXT, CLIENT = "TcpContext", "Client"
 CLIENT_BULK, ASYNC_BULK = "Client.execute_many", "AsyncClient.execute_many"
 
 TCP_CLIENTS = [
     Peer(C_CLIENT, "client", C),
-    Peer(DEFAULT, "tcp-client"),
+    Peer(CONTEXT, "tcp-context"),
+    Peer(CLIENT, "tcp-client"),
     Peer("pylibmodbus", "pylibmodbus", "pylibmodbus"),
     Peer("pymodbus", "pymodbus", "pymodbus"),
     Peer("pyModbusTCP", "pyModbusTCP", "pyModbusTCP"),
@@ -134,6 +135,7 @@ TCP_CLIENTS = [
 ]
 RTU_CLIENTS = [
     Peer(C_CLIENT, "client", C),
+    Peer("RtuContext", "rtu-context"),
     Peer("Client, rtu", "rtu-client"),
     Peer("Client, rtu, silence=0", "rtu-client-hasty"),
     Peer("pymodbus", "pymodbus-rtu", "pymodbus"),

@@ -43,19 +43,35 @@ Connect = Callable[[str, list[Block]], AbstractContextManager[Read]]
 
 
 @contextmanager
+def tcp_context(place: str, blocks: list[Block]) -> Iterator[Read]:
+    from libmodbus_py import TcpContext
+
+    with TcpContext(HOST, int(place)) as context:
+        yield lambda: [context.read_holding_registers(*block) for block in blocks]
+
+
+@contextmanager
+def rtu_context(place: str, blocks: list[Block]) -> Iterator[Read]:
+    from libmodbus_py import RtuContext
+
+    with RtuContext(place, BAUDRATE, parity="N", unit=1) as context:
+        yield lambda: [context.read_holding_registers(*block) for block in blocks]
+
+
+@contextmanager
 def tcp_client(place: str, blocks: list[Block]) -> Iterator[Read]:
     from libmodbus_py import Client
 
-    with Client(f"tcp://{HOST}:{place}") as context:
-        yield lambda: [context.read_holding_registers(*block) for block in blocks]
+    with Client(f"tcp://{HOST}:{place}") as client:
+        yield lambda: [client.read_holding_registers(*block) for block in blocks]
 
 
 @contextmanager
 def rtu_client(place: str, blocks: list[Block], **options: Any) -> Iterator[Read]:
     from libmodbus_py import Client
 
-    with Client(f"rtu://{place}", baudrate=BAUDRATE, parity="N", unit=1, **options) as context:
-        yield lambda: [context.read_holding_registers(*block) for block in blocks]
+    with Client(f"rtu://{place}", baudrate=BAUDRATE, parity="N", unit=1, **options) as client:
+        yield lambda: [client.read_holding_registers(*block) for block in blocks]
 
 
 @contextmanager
@@ -63,8 +79,8 @@ def client_execute_many(place: str, blocks: list[Block]) -> Iterator[Read]:
     from libmodbus_py import Client, pdu
 
     requests = [pdu.ReadHoldingRegisters(*block) for block in blocks]
-    with Client(f"tcp://{HOST}:{place}", max_in_flight=IN_FLIGHT) as context:
-        yield lambda: context.execute_many(requests)
+    with Client(f"tcp://{HOST}:{place}", max_in_flight=IN_FLIGHT) as client:
+        yield lambda: client.execute_many(requests)
 
 
 @contextmanager
@@ -212,6 +228,8 @@ def minimalmodbus(place: str, blocks: list[Block]) -> Iterator[Read]:
 
 
 CLIENTS: dict[str, Connect] = {
+    "tcp-context": tcp_context,
+    "rtu-context": rtu_context,
     "tcp-client": tcp_client,
     "rtu-client": rtu_client,
     "rtu-client-hasty": partial(rtu_client, silence=0),

@@ -14,13 +14,12 @@ from bench.cells import (
     BULK,
     C_CLIENT,
     C_SERVER,
+    CLIENT,
     CLIENT_BULK,
-    DEFAULT,
+    CONTEXT,
     FREE,
     ONE_PROCESSOR,
     OUR_SERVER,
-    OURS_FREE,
-    OURS_ONE_PROCESSOR,
     SERVER,
     TO_C,
     TO_OURS,
@@ -64,14 +63,12 @@ def server(load: str, theirs: str, least: float, ours: str = OUR_SERVER) -> Targ
 
 TARGETS = [
     *(
-        blocking(variant, DEFAULT, theirs, least)
-        for variant, (theirs, least) in product(
-            (FREE, ONE_PROCESSOR, OURS_FREE, OURS_ONE_PROCESSOR),
-            ((C_CLIENT, 0.95), ("pylibmodbus", 1), ("pyModbusTCP", 1)),
+        blocking(variant, ours, theirs, least)
+        for variant, (ours, theirs, least) in product(
+            (FREE, ONE_PROCESSOR),
+            ((CONTEXT, C_CLIENT, 0.95), (CONTEXT, "pylibmodbus", 1), (CLIENT, "pymodbus", 1)),
         )
     ),
-    blocking(FREE, DEFAULT, "pymodbus", 1.3),
-    blocking(ONE_PROCESSOR, DEFAULT, "pymodbus", 1.3),
     *(
         bulk(variant, ours, theirs, least)
         for ours, (variant, theirs, least) in product(
