@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import subprocess
 import sys
 import time
@@ -77,13 +78,16 @@ def rates(count: int = 10_000) -> None:
             with gateway(f"{line}&timeout=2") as url:
                 through = one_by_one(url, count // 10)
         told(f"pty, {baudrate} bit/s, one at a time", direct, through)
-    with running("serve", "tcp://127.0.0.1:0") as server, gateway(f"{server}?timeout=5") as url:
-        told("tcp, one at a time", one_by_one(server, count), one_by_one(url, count))
-        for clients, each in ((1, 16), (8, 16)):
-            direct, through = (
-                asyncio.run(in_flight(where, clients, each, 3 * count)) for where in (server, url)
-            )
-            told(f"tcp, {clients} clients, {each} in flight", direct, through)
+    with running("serve", "tcp://127.0.0.1:0") as server:
+        with gateway(f"{server}?timeout=5") as url:
+            told("tcp, one at a time", one_by_one(server, count), one_by_one(url, count))
+        for on_line, (clients, each) in itertools.product((1, 16), ((1, 16), (8, 16))):
+            with gateway(f"{server}?timeout=5&max_in_flight={on_line}") as url:
+                direct, through = (
+                    asyncio.run(in_flight(where, clients, each, 3 * count))
+                    for where in (server, url)
+                )
+            told(f"tcp, {clients} x {each} in flight, {on_line} behind it", direct, through)
 
 
 def told(what: str, direct: float, through: float) -> None:
