@@ -1,40 +1,25 @@
 """
-Where a document runs: a folder, addresses and serial ports of its own, a device that answers.
+Where a document runs: a folder, and a device that answers.
 
-=================================  =============================================================
-what documents write               what it is when they run
-=================================  =============================================================
-127.0.0.1, localhost               an address of this process alone, so that ports are free
-0.0.0.0, 0.0.0.0:502               the same, with a port that everybody may open
-192.0.2.10                         there, with a server that has everything, all zero
-libmodbus-py certificates          the server's has this address, too
-/dev/ttyUSB0                       a serial line with the same device, RTU
-/dev/ttyUSB1, /dev/ttyUSB2         the two ends of a cable
-=================================  =============================================================
+At 192.0.2.10 and /dev/ttyUSB0 is a server that has everything, all zero; /dev/ttyUSB1 and
+/dev/ttyUSB2 are the two ends of a cable.
 """
 
-import re
+import contextlib
+import logging
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from functools import cached_property
 from pathlib import Path
-from random import SystemRandom
 from typing import Self
 
-from libmodbus_py import Device, Mapping, Server
+from sybil import Example
+
+from libmodbus_py import Device, Mapping, Server, pdu
 from libmodbus_py.tools.testing.wires import SerialWire
-
-DEVICE_PORT, OPEN_PORT = 10502, 5502
-
-randrange = SystemRandom().randrange  # tests may seed the usual one
-
-
-def own_address() -> str:
-    """
-    Return an address of this machine that nobody else uses.
-
-    At random: containers that share a network have processes of the same number.
-    """
-    return f"127.{64 + randrange(128)}.{randrange(256)}.{randrange(256)}"
+from tests.docs.documents import ROOT, Examples, read
+from tests.docs.namespace import plug_in
+from tests.docs.python_blocks import run_python
+from tests.docs.shell_blocks import Command, Shell, of_console, of_sh
 
 
 class Home:
@@ -52,53 +37,65 @@ class Home:
             files={number: [0] * 10_000 for number in range(1, 11)},
             fifos={1246: [440, 4740]},
         )
-        self.address = own_address()
-        self.url = f"tcp://{self.address}:{DEVICE_PORT}"
-        self.at_end.enter_context(Server(self.device).background(self.url))
 
     def __enter__(self) -> Self:
+        self.at_end.enter_context(contextlib.chdir(self.folder))
+        Path("examples").symlink_to(ROOT / "examples")
+        self.at_end.enter_context(_usual_state())
+        line, cable = (self.at_end.enter_context(SerialWire()) for _ in range(2))
+        served = Server(self.device).background("tcp://192.0.2.10", f"rtu://{line.server}")
+        self.at_end.enter_context(served)
+        ends = {"USB0": line.client, "USB1": cable.client, "USB2": cable.server}
+        self.at_end.enter_context(plug_in({f"/dev/tty{name}": end for name, end in ends.items()}))
         return self
 
     def __exit__(self, *_: object) -> None:
         self.at_end.close()
 
-    def here(self, text: str) -> str:
-        """Put the addresses of this machine into what a document says."""
-        for there, path in self._places.items():
-            text = re.sub(there, path, text)
-        return re.sub(r"/dev/ttyUSB\d", lambda port: self._ports[port[0]], text)
+    def name(self, text: str) -> str:
+        """Put the name of the folder into what was printed."""
+        return text.replace(str(self.folder), ".")
 
-    def there(self, text: str) -> str:
-        """Put the addresses of documents into what was printed here."""
-        text = text.replace(f"{self.address}:{DEVICE_PORT}", "192.0.2.10:502")
-        text = text.replace(f"{self.address}:{OPEN_PORT}", "0.0.0.0:502")
-        text = text.replace(self.address, "127.0.0.1").replace(str(self.folder), ".")
-        if "_ports" in vars(self):
-            for name, path in self._ports.items():
-                text = re.sub(rf"{path}\b", name, text)
-        return text
 
-    @cached_property
-    def _places(self) -> dict[str, str]:
-        served = f"{self.address}:{DEVICE_PORT}"
-        return {
-            r"(?<=://)192\.0\.2\.10(:502)?(?![:\d])": served,
-            r'"192\.0\.2\.10"(?:, (?:port=)?502\b)?(?!, (?:port=)?\d)': (
-                f'"{self.address}", port={DEVICE_PORT}'
-            ),
-            "(?m)libmodbus-py certificates certs$": (
-                f"libmodbus-py certificates --host {self.address} certs"
-            ),
-            r"0\.0\.0\.0:502\b": f"{self.address}:{OPEN_PORT}",
-            r"\b192\.0\.2\.10\b|\b0\.0\.0\.0\b|\b127\.0\.0\.1\b|\blocalhost\b": self.address,
-        }
+@contextlib.contextmanager
+def _usual_state() -> Iterator[None]:
+    """Keep what a document may change for its process."""
+    registered = dict(pdu.REQUESTS)
+    wire = logging.getLogger("libmodbus_py.wire")
+    level = wire.level
+    yield
+    pdu.REQUESTS.clear()
+    pdu.REQUESTS.update(registered)
+    wire.setLevel(level)
 
-    @cached_property
-    def _ports(self) -> dict[str, str]:
-        line, cable = (self.at_end.enter_context(SerialWire()) for _ in range(2))
-        self.at_end.enter_context(Server(self.device).background(f"rtu://{line.server}"))
-        return {
-            "/dev/ttyUSB0": line.client,
-            "/dev/ttyUSB1": cable.client,
-            "/dev/ttyUSB2": cable.server,
-        }
+
+def run_document(path: Path, folder: Path) -> None:
+    """Run a document from its beginning to its end, in an empty folder."""
+    with Home(folder) as home:
+        shell = home.at_end.enter_context(contextlib.closing(Shell(folder, home.name)))
+        document = read(path, _examples(home, shell))
+        document.namespace["home"] = home  # for blocks that readers do not see
+        for example in document.examples():
+            example.evaluate()
+
+
+def _examples(home: Home, shell: Shell) -> Examples:
+    def typed(commands: Callable[[str], Iterator[Command]]) -> Callable[[Example], None]:
+        def evaluate(example: Example) -> None:
+            for command in commands(example.parsed):
+                try:
+                    shell.type(command)
+                except AssertionError as error:
+                    error.add_note(f"{example.path}:{example.line + command.line}: {command.text}")
+                    raise
+
+        return evaluate
+
+    def python(example: Example) -> None:
+        source = example.parsed.replace('.serve_forever("', '.background("')
+        run_python(example, source, home.name)
+
+    def file(example: Example) -> None:
+        (home.folder / example.region.lexemes["file"]).write_text(example.parsed)
+
+    return Examples(python, typed(of_console), typed(of_sh), file)

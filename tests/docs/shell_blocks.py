@@ -88,14 +88,12 @@ def of_sh(source: str) -> Iterator[Command]:
 class Shell:
     """
     Types commands in a folder, and keeps what stays. `folder`: where it begins; ``cd`` and
-    ``export`` hold for what follows; `here, there`: put addresses of this machine in, and out
-    again.
+    ``export`` hold for what follows; `normalize`: puts the name that documents have for it into
+    what was printed.
     """
 
-    def __init__(
-        self, folder: Path, here: Callable[[str], str], there: Callable[[str], str]
-    ) -> None:
-        self._here, self._there = here, there
+    def __init__(self, folder: Path, normalize: Callable[[str], str]) -> None:
+        self._normalize = normalize
         self._state = folder / ".shell"
         self._code = 0
         self._staying: list[Process] = []
@@ -130,7 +128,7 @@ class Shell:
             self._finish(process, output, command)
 
     def _start(self, command: Command, output: int) -> Process:
-        text = self._here(command.text.rstrip("& "))
+        text = command.text.rstrip("& ")
         if words := _plain(text):
             return self._fork(words, output)
         if command.stays or command.interrupted:
@@ -184,12 +182,11 @@ class Shell:
         raise AssertionError(f"printed:\n{printed}\nand not:\n{command.expected}")
 
     def _read(self, output: Path) -> str:
-        return self._there(output.read_text(errors="replace"))
+        return self._normalize(output.read_text(errors="replace"))
 
     def _pattern(self, text: str) -> str:
         """A whole line of ``...`` stands for text with its line end."""
-        same = self._there(self._here(text))
-        return re.sub(r"^\.\.\.\n", "...", same, flags=re.MULTILINE)
+        return re.sub(r"^\.\.\.\n", "...", text, flags=re.MULTILINE)
 
 
 def _interrupt(process: Process) -> None:

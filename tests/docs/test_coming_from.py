@@ -6,8 +6,10 @@ That both sides run, and give what they say, is seen where all documents run.
 
 import ast
 import asyncio
+import contextlib
 import importlib.util
 import inspect
+import io
 import re
 import socket
 import struct
@@ -32,6 +34,7 @@ from sybil import Document
 
 from libmodbus_py import Client, Device, Mapping, ModbusError, Server, errors, values
 from libmodbus_py.tools.testing.wires import SerialWire
+from tests.docs.conftest import Isolated
 from tests.docs.documents import ROOT, blocks
 from tests.docs.home import Home
 from tests.docs.python_blocks import (
@@ -108,18 +111,22 @@ def test_the_lines_of_both_programs_are_counted(peer: str) -> None:
 
 
 @pytest.mark.parametrize("peer", [each for each in PROGRAMS if each != "mbpoll"])
-def test_both_programs_print_what_they_say(peer, home: Home, capsys) -> None:
+def test_both_programs_print_what_they_say(peer: str, tmp_path: Path, isolated: Isolated) -> None:
     """Each print with a comment is reached, by theirs and by ours."""
+    isolated(compare_prints, peer, tmp_path)
+
+
+def compare_prints(peer: str, folder: Path) -> None:
     page = "pymodbus" if peer == "pymodbus" else "others"
-    hidden = next(blocks_that_readers_do_not_see(page))
-    exec(home.here(hidden), {"home": home})
-    for source in (PROGRAMS[peer].theirs, PROGRAMS[peer].ours):
-        exec(home.here(source), {})
-        printed = capsys.readouterr().out.splitlines()
-        comments = list(comments_of(source).values())
-        assert len(printed) == len(comments)
-        for text, line in zip(comments, printed, strict=True):
-            assert matches(text, line), line
+    with Home(folder) as home:
+        exec(next(blocks_that_readers_do_not_see(page)), {"home": home})
+        for source in (PROGRAMS[peer].theirs, PROGRAMS[peer].ours):
+            with contextlib.redirect_stdout(io.StringIO()) as output:
+                exec(source, {})
+            printed, comments = output.getvalue().splitlines(), [*comments_of(source).values()]
+            assert len(printed) == len(comments), printed
+            for text, line in zip(comments, printed, strict=True):
+                assert matches(text, line), line
 
 
 def blocks_that_readers_do_not_see(page: str) -> Iterator[str]:
@@ -326,6 +333,10 @@ def test_bits_of_pymodbus_are_bits16_with_the_order_badc() -> None:
 
 @pytest.fixture
 def module(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    return replace_pymodbus(monkeypatch)
+
+
+def replace_pymodbus(patch: pytest.MonkeyPatch) -> ModuleType:
     """Put examples/pymodbus_names.py in the place of pymodbus, as its docstring says."""
     specification = importlib.util.spec_from_file_location(
         "pymodbus_names", ROOT / "examples" / "pymodbus_names.py"
@@ -335,18 +346,25 @@ def module(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     for name in ("pymodbus", "pymodbus.client", "pymodbus.exceptions"):
-        monkeypatch.setitem(sys.modules, name, module)
+        patch.setitem(sys.modules, name, module)
     return module
 
 
-def test_programs_for_pymodbus_give_the_same_with_its_names(module: ModuleType, home: Home) -> None:
+def test_programs_for_pymodbus_give_the_same_with_its_names(
+    tmp_path: Path, isolated: Isolated
+) -> None:
     """Those of the page: with errors, on a serial line, and with asyncio."""
-    exec(home.here(next(blocks_that_readers_do_not_see("pymodbus"))), {"home": home})
-    for pair in [*pairs("pymodbus")][:3]:
-        program = home.here(pair.theirs)
-        tree = Comparing(program).visit(ast.parse(program))
-        checks = {"must_equal": must_equal, "must_print": must_print(home.there)}
-        exec(compile(tree, "program", "exec"), checks)
+    isolated(run_with_names, tmp_path)
+
+
+def run_with_names(folder: Path) -> None:
+    with pytest.MonkeyPatch.context() as patch, Home(folder) as home:
+        replace_pymodbus(patch)
+        exec(next(blocks_that_readers_do_not_see("pymodbus")), {"home": home})
+        for pair in [*pairs("pymodbus")][:3]:
+            tree = Comparing(pair.theirs).visit(ast.parse(pair.theirs))
+            checks = {"must_equal": must_equal, "must_print": must_print(str)}
+            exec(compile(tree, "program", "exec"), checks)
 
 
 def test_connected_is_what_pymodbus_says(module: ModuleType, served: int) -> None:

@@ -3,13 +3,15 @@
 import ast
 import re
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from sybil import Document, Region
 
+from tests.docs.conftest import Isolated
 from tests.docs.documents import DOCUMENTS, PAGES, ROOT, blocks, not_run
+from tests.docs.home import run_document
 from tests.docs.python_blocks import Comparing
 from tests.support.cases import each_case
 
@@ -17,8 +19,8 @@ NAMES = [str(path.relative_to(ROOT)) for path in DOCUMENTS]
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=NAMES)
-def test_what_a_document_says_runs(path: Path, run: Callable[[Path], None]) -> None:
-    run(path)
+def test_what_a_document_says_runs(path: Path, tmp_path: Path, isolated: Isolated) -> None:
+    isolated(run_document, path, tmp_path)
 
 
 def everything() -> Iterator[tuple[Document, Region]]:

@@ -1,22 +1,20 @@
 """The runner of documents: what it takes, and what it does not let pass."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from sybil import Example
 
+from tests.docs.conftest import Isolated
 from tests.docs.documents import Examples, read
+from tests.docs.home import run_document
 from tests.docs.python_blocks import matches
 from tests.docs.shell_blocks import of_console, of_sh
 from tests.support.cases import each_case
 
-Run = Callable[[Path], None]
 
-
-def test_a_document_runs(tmp_path: Path, run: Run) -> None:
-    path = tmp_path / "good.md"
-    path.write_text((Path(__file__).parent / "example.md").read_text())
-    run(path)
+def test_a_document_runs(tmp_path: Path, isolated: Isolated) -> None:
+    isolated(run_document, Path(__file__).parent / "example.md", tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -37,19 +35,21 @@ def test_a_document_runs(tmp_path: Path, run: Run) -> None:
         ("```sh\ntrue\nfalse\n```", "exit code 1"),
     ],
 )
-def test_a_wrong_output_is_an_error(tmp_path: Path, run: Run, block: str, what: str) -> None:
+def test_a_wrong_output_is_an_error(
+    tmp_path: Path, isolated: Isolated, block: str, what: str
+) -> None:
     path = tmp_path / "lie.md"
     path.write_text(f"Text.\n\n{block}\n")
     with pytest.raises((AssertionError, NameError, SyntaxError)) as caught:
-        run(path)
+        isolated(run_document, path, tmp_path)
     assert what in str(caught.value)
 
 
-def test_a_failure_says_where(tmp_path: Path, run: Run) -> None:
+def test_a_failure_says_where(tmp_path: Path, isolated: Isolated) -> None:
     path = tmp_path / "lie.md"
     path.write_text("Text.\n\n```console\n$ true\n$ false\n```\n")
     with pytest.raises(AssertionError) as caught:
-        run(path)
+        isolated(run_document, path, tmp_path)
     assert caught.value.__notes__ == [f"{path}:5: false"]
 
 
@@ -75,7 +75,11 @@ def test_blocks_of_shells_are_split_into_commands() -> None:
     assert shell == [("a", None, 2), ("b   c", None, 4)]
 
 
-def test_only_examples_are_read(tmp_path: Path, examples: Examples) -> None:
+def test_only_examples_are_read(tmp_path: Path) -> None:
+    def evaluate(example: Example) -> None:
+        raise AssertionError(example)
+
+    examples = Examples(evaluate, evaluate, evaluate, evaluate)
     path = tmp_path / "some.md"
     path.write_text("```\nx\n```\n\n```text\ny\n```\n\n`z.json`:\n\n```json\n{}\n```\n")
     assert len(list(read(path, examples).examples())) == 1

@@ -1,20 +1,20 @@
 """
 The first block of each page that shows how to do something runs as typed, in an empty folder.
 
-It gets no names, files or servers but its own, the files before it, and the examples. Only the
-addresses of this machine are replaced, because two processes cannot have the same port.
+It gets no names, files or servers but its own, the files before it, and the examples.
 """
 
 import os
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 from sybil import Document, Region
 
+from tests.docs.conftest import Isolated
 from tests.docs.documents import ROOT, RUN, blocks, not_run
-from tests.docs.home import own_address
 from tests.docs.shell_blocks import Shell, of_console, of_sh
 
 PAGES = [
@@ -44,40 +44,35 @@ def first(path: Path) -> tuple[list[Region], Region]:
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
-def test_the_first_block_of_a_page_runs_as_typed(path: Path, tmp_path: Path) -> None:
+def test_the_first_block_of_a_page_runs_as_typed(
+    path: Path, tmp_path: Path, isolated: Isolated
+) -> None:
     files, block = first(path)
     source = block.lexemes["source"]
     for text in (source, *(each.lexemes["source"] for each in files)):
         assert [each for each in FOREIGN if each in text] == []
-    address = own_address()
-    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    sources = {each.lexemes["file"]: str(each.lexemes["source"]) for each in files}
+    isolated(run_block, sources, block.lexemes["language"], str(source), tmp_path)
 
-    def here(text: str) -> str:
-        text = text.replace("certificates certs", f"certificates --host {address} certs")
-        return text.replace("127.0.0.1", address)
 
-    def there(text: str) -> str:
-        return text.replace(address, "127.0.0.1").replace(str(tmp_path), ".")
-
-    for each in files:
-        (tmp_path / each.lexemes["file"]).write_text(here(each.lexemes["source"]))
-    if block.lexemes["language"] == "python":
-        (tmp_path / "typed.py").write_text(here(source))
+def run_block(files: dict[str, str], language: str, source: str, folder: Path) -> None:
+    (folder / "examples").symlink_to(ROOT / "examples")
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    if language == "python":
+        (folder / "typed.py").write_text(source)
         result = subprocess.run(
             [sys.executable, "-W", "error", "typed.py"],
-            cwd=tmp_path,
+            cwd=folder,
             env={**os.environ, "PYTHONPATH": str(ROOT)},
             capture_output=True,
             text=True,
             timeout=LONGEST_S,
             check=False,
         )
-        assert (result.returncode, result.stderr) == (0, "")
+        assert (result.returncode, result.stderr) == (0, ""), result.stderr
         return
-    shell = Shell(tmp_path, here, there)
-    commands = of_console if block.lexemes["language"] == "console" else of_sh
-    try:
+    commands = of_console if language == "console" else of_sh
+    with closing(Shell(folder, lambda text: text.replace(str(folder), "."))) as shell:
         for command in commands(source):
             shell.type(command)
-    finally:
-        shell.close()

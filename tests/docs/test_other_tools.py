@@ -1,9 +1,12 @@
 """The tables of options for who comes from another tool: each option of ours exists."""
 
 import errno
+import itertools
 import re
 import shutil
 from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
 
 import pytest
 from sybil import Document
@@ -13,8 +16,8 @@ from libmodbus_py.cli.commands import COMMANDS, parser_of
 from libmodbus_py.low_level import ffi, lib
 from libmodbus_py.ports.schemes import SCHEMES
 from libmodbus_py.protocol.words import order_named, table_named, type_named
+from tests.docs.conftest import Isolated
 from tests.docs.documents import ROOT, blocks
-from tests.docs.home import Home
 from tests.docs.shell_blocks import Shell, of_console
 
 PAGE = ROOT / "docs" / "coming-from" / "mbpoll.md"
@@ -55,18 +58,21 @@ def test_every_word_of_ours_is_taken(tool: str) -> None:
 
 
 @pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
-def test_the_session_is_the_same_with_mbpoll(home: Home) -> None:
+def test_the_session_is_the_same_with_mbpoll(tmp_path: Path, isolated: Isolated) -> None:
     """The server of the page, and then both sessions with it."""
-    sources = [each.lexemes["source"] for each in blocks(Document(PAGE.read_text(), str(PAGE)))]
-    serve, theirs, ours = sources[:3]
+    sources = [
+        str(each.lexemes["source"]) for each in blocks(Document(PAGE.read_text(), str(PAGE)))
+    ]
+    _, theirs, ours = sources[:3]
     assert "mbpoll" in theirs
     assert "libmodbus-py read" in ours
-    shell = Shell(home.folder, home.here, home.there)
-    try:
-        for command in [each for source in (serve, theirs, ours) for each in of_console(source)]:
+    isolated(type_blocks, sources[:3], tmp_path)
+
+
+def type_blocks(sources: list[str], folder: Path) -> None:
+    with closing(Shell(folder, str)) as shell:
+        for command in itertools.chain.from_iterable(map(of_console, sources)):
             shell.type(command)
-    finally:
-        shell.close()
 
 
 def test_messages_of_mbpoll_are_those_of_libmodbus() -> None:
