@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import random
 import socket
 import subprocess
 import tempfile
@@ -14,6 +13,7 @@ import threading
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+from random import SystemRandom
 from typing import Any, Self, TypeVar
 
 from tests.support.programs import program
@@ -21,6 +21,8 @@ from tests.support.programs import program
 __all__ = ["NatsServers", "Way", "free_ports"]
 
 Result = TypeVar("Result")
+
+_randrange = SystemRandom().randrange  # simulated worlds seed the usual one, in several processes
 
 ANSWER_S = 90.0
 """Servers elect a leader within ten seconds, on a machine that does nothing else."""
@@ -30,7 +32,7 @@ def free_ports(count: int) -> list[int]:
     """Ports that nobody has, and that no connection is given meanwhile: none of those of Linux."""
     found: list[int] = []
     while len(found) < count:
-        port = random.randrange(20_000, 32_000)
+        port = _randrange(20_000, 32_000)
         with contextlib.suppress(OSError), socket.socket() as trial:
             trial.bind(("127.0.0.1", port))
             found.append(port)
@@ -82,7 +84,7 @@ class NatsServers:
         home = Path(self._directory.name, str(number))
         home.mkdir(exist_ok=True)
         command = [program("nats-server"), "-a", "127.0.0.1", "-p", str(self.ports[number])]
-        command += ["-n", f"n{number}", *self._options]
+        command += ["-n", f"n{number}", "--ports_file_dir", str(home), *self._options]
         if self._jetstream:
             command += ["-js", "-sd", str(home)]
         if self._config is not None:
@@ -96,10 +98,8 @@ class NatsServers:
             process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=log)
         self._processes[number] = process
         until = time.monotonic() + 20
-        while True:
-            with contextlib.suppress(OSError):
-                socket.create_connection(("127.0.0.1", self.ports[number]), 1).close()
-                return
+        # Another server may listen on the port; this one writes a file once it does.
+        while not any(home.glob(f"*_{process.pid}.ports")):
             if process.poll() is not None or time.monotonic() > until:
                 raise RuntimeError(f"nats-server: {(home / 'log').read_text()[-2000:]}")
             time.sleep(0.02)
