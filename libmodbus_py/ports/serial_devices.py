@@ -134,7 +134,15 @@ def open_devices(base: Path = Path("/")) -> tuple[list[OpenDevice], bool]:
 def users_of(device: str) -> list[OpenDevice]:
     """Return the programs that have a port open, as far as this user may know."""
     path = os.path.realpath(device)
-    return [user for user in open_devices()[0] if user.path == path]
+    return [user for user in open_devices()[0] if user.path == path and _is_here(user)]
+
+
+def _is_here(user: OpenDevice) -> bool:
+    """Return False for a pseudo-terminal of a container, which has others of the same names."""
+    with contextlib.suppress(OSError):
+        here, theirs = os.stat(user.path), os.stat(f"/proc/{user.process}/fd/{user.descriptor}")
+        return not user.path.startswith("/dev/pts/") or here.st_dev == theirs.st_dev
+    return True
 
 
 def other_programs(device: str) -> str:

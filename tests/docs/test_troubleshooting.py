@@ -1,6 +1,7 @@
 """The messages that the page on troubleshooting explains are those a client makes of such lines."""
 
 import os
+import pty
 import re
 import socket
 import subprocess
@@ -12,6 +13,8 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Client, ModbusError
+from libmodbus_py.ports.serial_devices import open_devices, users_of
+from tests.docs.conftest import Isolated
 from tests.docs.documents import ROOT
 from tests.docs.python_blocks import matches
 from tests.support.driver import ascii_frame, rtu
@@ -139,6 +142,27 @@ input()
 def port(path: str, number: int) -> str:
     message: str = NAMED[number]
     return message.replace("/dev/ttyUSB0", path)
+
+
+def open_pseudo_terminal(name: str) -> list[int]:
+    """Open pseudo-terminals until one has this name; return this process and all descriptors."""
+    opened = [*pty.openpty()]
+    while os.ttyname(opened[-1]) != name:
+        opened += pty.openpty()
+    return [os.getpid(), *opened]
+
+
+def close_all(descriptors: list[int]) -> None:
+    for descriptor in descriptors:
+        os.close(descriptor)
+
+
+def test_a_pseudo_terminal_of_the_same_name_elsewhere_is_another(isolated: Isolated) -> None:
+    with FakeUnit(lambda request: []) as unit:
+        process, *descriptors = isolated(open_pseudo_terminal, unit.path)
+        assert unit.path in [user.path for user in open_devices()[0] if user.process == process]
+        assert process not in [user.process for user in users_of(unit.path)]
+        isolated(close_all, descriptors)
 
 
 def test_errors_of_ports_are_those_of_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
