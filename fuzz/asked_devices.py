@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.ports.trace import Traced
+from libmodbus_py.ports.trace import TracedFrame
 
 __all__ = ["Asked", "Workers", "asked_devices", "fleet_file", "until"]
 
@@ -60,7 +60,7 @@ class Asked:
         # When those asked the last time whom others have followed.
         self._followed: dict[tuple[str, int], dict[str, float]] = {}
 
-    def note(self, traced: Traced) -> None:
+    def note(self, traced: TracedFrame) -> None:
         if traced.direction != "received":
             return
         now, device = time.monotonic(), (traced.endpoint, traced.unit or 0)

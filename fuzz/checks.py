@@ -35,7 +35,7 @@ from libmodbus_py.security.certificates import RoleError, decode_role, encode_ro
 from libmodbus_py.services.fleet import files as fleet_files
 from libmodbus_py.services.gateway import config as gateway_file
 from libmodbus_py.tools.listener.separator import LineFraming, Separator
-from libmodbus_py.tools.listener.transaction import Heard
+from libmodbus_py.tools.listener.transaction import TimedFrame
 
 __all__ = [
     "FILES",
@@ -126,7 +126,7 @@ def check_listening(framing: LineFraming, pieces: Sequence[tuple[float, bytes]])
         framing: "rtu" or "ascii".
         pieces: bytes, and how many seconds behind the ones before them.
     """
-    heard: list[Heard] = []
+    heard: list[TimedFrame] = []
     separator = Separator(framing, heard.append)
     now, done = 0.0, []
     for gap, piece in pieces:

@@ -28,7 +28,7 @@ from pathlib import Path
 
 from fuzz.command import numbers
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.services.fleet.outputs.pump import MOST_OF_JOURNAL
+from libmodbus_py.services.fleet.outputs.writer import MOST_OF_JOURNAL
 
 POINTS = 10
 

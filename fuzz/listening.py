@@ -21,7 +21,7 @@ from fuzz.command import numbers, progress
 from libmodbus_py import Device, Mapping, pdu
 from libmodbus_py.protocol.framing import Frame, make_framer
 from libmodbus_py.tools.listener.separator import Separator
-from libmodbus_py.tools.listener.transaction import Heard, Transaction
+from libmodbus_py.tools.listener.transaction import TimedFrame, Transaction
 
 __all__ = ["LATENCY", "Framing", "Result", "Told", "heard", "line", "measure"]
 
@@ -203,7 +203,7 @@ def heard(framing: Framing, pieces: list[Sent]) -> tuple[list[Told], list[Transa
     """Let a listener separate the pieces."""
     named: list[Told] = []
 
-    def note(each: Heard) -> None:
+    def note(each: TimedFrame) -> None:
         if each.frame is not None:
             named.append(Told(each.part, each.frame))
 

@@ -24,7 +24,7 @@ from .maps.plan import Plan as Plan
 from .maps.point import Point as Point
 from .maps.register_map import RegisterMap as RegisterMap
 from .maps.register_map import load_map as load_map
-from .ports.trace import Traced as Traced
+from .ports.trace import TracedFrame as TracedFrame
 from .protocol.errors import Acknowledge as Acknowledge
 from .protocol.errors import ExceptionResponse as ExceptionResponse
 from .protocol.errors import FrameError as FrameError

@@ -1,7 +1,7 @@
 """Servers, devices, hooks, rules and audits: a short path to `server` and `device`."""
 
 from .device.access import Access, Caller, ValueChange
-from .device.authorization import Allow, Asked, Rules
+from .device.authorization import Allow, ClientRequest, Rules
 from .device.device import Device
 from .device.hooks import Hook
 from .device.mapping import Mapping
@@ -13,7 +13,23 @@ from .server.serving import Running
 from .tools.faults.fault import Fault
 
 __all__ = [
-    "Access", "Allow", "Asked", "Audit", "AuditEvent", "AuditFile", "Caller", "Device", "Fault",
-    "FifoQueue", "Hook", "Limits", "Mapping", "RecordFile", "Rules", "Running", "Server",
-    "ServerStatistics", "ValueChange",
+    "Access",
+    "Allow",
+    "Audit",
+    "AuditEvent",
+    "AuditFile",
+    "Caller",
+    "ClientRequest",
+    "Device",
+    "Fault",
+    "FifoQueue",
+    "Hook",
+    "Limits",
+    "Mapping",
+    "RecordFile",
+    "Rules",
+    "Running",
+    "Server",
+    "ServerStatistics",
+    "ValueChange",
 ]  # fmt: skip

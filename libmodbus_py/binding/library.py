@@ -113,7 +113,7 @@ def make_tally() -> Any:
     return ffi.new("tally_t *")
 
 
-class Watched:
+class WatchedRequests:
     """The requests that the replier leaves to Python: other functions, and watched ranges."""
 
     def __init__(
@@ -143,7 +143,7 @@ class Replier:
         self.answers: Any = ffi.cast("char *", self._answers)  # which unpack to bytes
         # For a request that may be answered without being counted.
         self.unused_tally: Any = make_tally()
-        self.all: Watched = Watched()
+        self.all: WatchedRequests = WatchedRequests()
         self._open()
 
     def close(self) -> None:
@@ -187,7 +187,13 @@ def replier() -> Replier:
 
 
 def answer_in_c(
-    own: Replier, mapping: Any, places: Watched, tally: Any, unit: int, data: bytes, start: int
+    own: Replier,
+    mapping: Any,
+    places: WatchedRequests,
+    tally: Any,
+    unit: int,
+    data: bytes,
+    start: int,
 ) -> Answered:
     """Answer the requests from ``data[start]`` on (`Device.answer_chunk`). Hold the lock."""
     struct = own.struct

@@ -212,7 +212,7 @@ class Status:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
-class Redrawn:
+class RedrawnLines:
     """Draws lines on a terminal over those that were drawn before, within its current size."""
 
     def __init__(self, stream: TextIO) -> None:

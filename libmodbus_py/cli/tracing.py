@@ -7,7 +7,7 @@ import logging
 import sys
 from collections.abc import Iterator
 
-from ..ports.trace import WIRE, Traced
+from ..ports.trace import WIRE, TracedFrame
 from ..protocol.pdu import REQUESTS
 from ..protocol.plain import clock_text
 from .output import inform
@@ -22,13 +22,13 @@ class Tracing:
     def __init__(self) -> None:
         self._sent = 0.0
 
-    def __call__(self, traced: Traced) -> None:
+    def __call__(self, traced: TracedFrame) -> None:
         is_sent = traced.direction == "sent"
         self._sent = traced.time if is_sent else self._sent
         inform(_in_columns(traced, None if is_sent else traced.time - self._sent), sys.stderr)
 
 
-def print_frame(traced: Traced) -> None:
+def print_frame(traced: TracedFrame) -> None:
     """Print a frame of a server to stderr, in the same columns."""
     inform(_in_columns(traced), sys.stderr)
 
@@ -54,12 +54,12 @@ class _WireHandler(logging.Handler):
     """Prints the frame of each record."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        if isinstance(record.args, tuple) and isinstance(record.args[0], Traced):
+        if isinstance(record.args, tuple) and isinstance(record.args[0], TracedFrame):
             with contextlib.suppress(OSError, ValueError):
                 print_frame(record.args[0])
 
 
-def _in_columns(traced: Traced, took: float | None = None) -> str:
+def _in_columns(traced: TracedFrame, took: float | None = None) -> str:
     """Return a frame as one line, with the seconds since its request."""
     clock = clock_text(traced.time, with_milliseconds=True)
     arrow = ">" if traced.direction == "sent" else "<"
@@ -70,7 +70,7 @@ def _in_columns(traced: Traced, took: float | None = None) -> str:
     return f"{clock} {arrow} {unit:>3}  {_function(traced):<24} {late:>9}  {shown}"
 
 
-def _function(traced: Traced) -> str:
+def _function(traced: TracedFrame) -> str:
     if traced.function is None:
         return "no frame"
     request = REQUESTS.get(traced.function & 0x7F)

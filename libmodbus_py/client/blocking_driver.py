@@ -13,7 +13,7 @@ import weakref
 from typing import TYPE_CHECKING, Any
 
 from ..ports.port import abandoned_in_children
-from ..ports.waiting import READ, WRITE, Woken, run
+from ..ports.waiting import READ, WRITE, WaitInterrupted, run
 from ..protocol.errors import ModbusConnectionError
 from .reconnecting import FORKED, State
 
@@ -82,7 +82,7 @@ class BlockingDriver:
         while not self._closed and self._now() < at:
             try:
                 waker.wait(-1, READ, at)
-            except Woken:
+            except WaitInterrupted:
                 waker.clear()
         return not self._closed
 
@@ -222,7 +222,7 @@ class BlockingDriver:
                 connection.settle(now)
         except ModbusConnectionError as error:
             self._lose(error, by_itself=True)
-        except Woken:  # by `close`, or because timeouts have changed
+        except WaitInterrupted:  # by `close`, or because timeouts have changed
             self.waker.clear()  # before `_closed` is read: `close` sets it, then wakes
             if self._closed:
                 self._shut()

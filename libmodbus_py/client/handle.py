@@ -18,7 +18,7 @@ from .reconnecting import State
 
 if TYPE_CHECKING:
     from ..maps.plan import Plan
-    from ..maps.refusals import Refusals, Unreadable
+    from ..maps.refusals import Refusals, UnreadableItem
     from ..maps.register_map import AnyMap
     from ..ports.port import Port
     from ..protocol import pdu
@@ -153,7 +153,7 @@ class Handle:
         """The most reads that may be pending at the same time, as set."""
         return self._connection.limit
 
-    def unreadable(self, what: AnyMap | Plan, **wrong: Unpack[NoOthers]) -> list[Unreadable]:
+    def unreadable(self, what: AnyMap | Plan, **wrong: Unpack[NoOthers]) -> list[UnreadableItem]:
         """
         Return the items that this client leaves out, because the unit refused them.
 

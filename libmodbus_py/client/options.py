@@ -43,8 +43,8 @@ class Options(ConnectionOptions, SerialSettings, total=False):
     trace: Annotated[
         "OnTraced | None",
         Option(
-            "is called with a `Traced` for every frame. The logger `libmodbus_py.wire` gets the "
-            "same at DEBUG.",
+            "is called with a `TracedFrame` for each frame. The logger `libmodbus_py.wire` gets "
+            "the same at DEBUG.",
             check=optional(checked_callback),
         ),
     ]

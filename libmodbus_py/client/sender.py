@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .asynchronous import AsyncClient
     from .asyncio_driver import AsyncioDriver
 
-__all__ = ["Sender", "Submitted"]
+__all__ = ["Sender", "SubmittedRequest"]
 
 
 class Sender:
@@ -33,7 +33,7 @@ class Sender:
 
     def submit(
         self, unit: int, request: pdu.Request[Any], on_done: Callable[[], object]
-    ) -> Submitted:
+    ) -> SubmittedRequest:
         """
         Send a request without waiting for its response.
 
@@ -54,7 +54,7 @@ class Sender:
             unit = integer("unit", unit, 0, 255)
         call = Call(unit, request, self.client._timeouts, unit == 0 and self.has_broadcast)
         self._driver.ask(call, on_done)
-        return Submitted(call, self._driver)
+        return SubmittedRequest(call, self._driver)
 
     @property
     def has_ids(self) -> bool:
@@ -86,7 +86,7 @@ class Sender:
         return self._connection.matching.ready_at(unit, function)
 
 
-class Submitted:
+class SubmittedRequest:
     """A request that was submitted."""
 
     __slots__ = ("_call", "_driver")

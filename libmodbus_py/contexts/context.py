@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal, Self, TypeVar
 
 from ..binding.library import check, ffi, lib
 from ..ports.port import abandoned_in_children, lost
-from ..ports.waiting import READ, Waker, Woken
+from ..ports.waiting import READ, WaitInterrupted, Waker
 from ..protocol import errors
 from ..protocol.checks import integer, seconds
 from ..protocol.frames import Frame, Framer
@@ -141,7 +141,7 @@ class ContextBase(ABC):
         """Wait for a descriptor until a time; raise an error if `close` ends the wait."""
         try:
             return self._get_waker().wait(descriptor, events, deadline)
-        except Woken:
+        except WaitInterrupted:
             raise closed_meanwhile() from None
 
     def _get_waker(self) -> Waker:

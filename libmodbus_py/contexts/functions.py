@@ -19,7 +19,7 @@ from ..ports.options import CLIENT_OPTIONS
 from ..ports.waiting import READ
 from ..protocol import errors, pdu
 from ..protocol.checks import integer
-from ..protocol.frames import Frame, Framer, Overheard
+from ..protocol.frames import Frame, Framer, OverheardResponse
 from ..protocol.framing import is_one_frame
 from ..protocol.scan import is_one_adu
 from ..protocol.tables import TABLE_SIZE
@@ -364,7 +364,7 @@ class Slave(Functions):
                 frame = self._requests.popleft()
                 if isinstance(frame, errors.FrameError):
                     raise frame
-                if not isinstance(frame, Overheard):
+                if not isinstance(frame, OverheardResponse):
                     is_other = self._is_serial and frame.unit not in (0, self.unit)
                     return None if is_other else framer.encode(frame)
             self._requests.extend(self._receive_frames(framer, deadline))

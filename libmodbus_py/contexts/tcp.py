@@ -14,7 +14,7 @@ from ..binding.library import check, ffi, lib, make
 from ..ports.hosts import host_and_port
 from ..ports.port import RECEIVED_BYTES, lost
 from ..ports.sockets import TcpPort
-from ..ports.waiting import READ, Woken, run
+from ..ports.waiting import READ, WaitInterrupted, run
 from ..protocol.checks import integer
 from ..protocol.errors import ModbusConnectionError, ModbusError
 from ..protocol.framing import TcpFramer
@@ -176,7 +176,7 @@ class TcpContext(Slave):
         port = _Opening(self.host, self.port, None)
         try:
             run(port.opening(time.monotonic() + self.response_timeout), self._get_waker())
-        except Woken:
+        except WaitInterrupted:
             raise closed_meanwhile() from None
         if error := too_many_descriptors(port.descriptor):
             port.close()

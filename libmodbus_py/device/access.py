@@ -61,7 +61,7 @@ TableOrFile = tuple[str, int]
 """A table, or "file", and the number of the file; 0 for a table."""
 
 
-class Touched(NamedTuple):
+class Accesses(NamedTuple):
     """The accesses of one request; it writes first."""
 
     writes: tuple[Access, ...] = ()
@@ -72,7 +72,7 @@ class Touched(NamedTuple):
 Who = tuple[int, str, "str | None"]
 
 
-Find = Callable[[Any, Mapping, Who], Touched]
+Find = Callable[[Any, Mapping, Who], Accesses]
 
 
 class TouchRule(NamedTuple):
@@ -84,8 +84,8 @@ class TouchRule(NamedTuple):
 
 
 def _reading(table: str) -> TouchRule:
-    def find(request: Any, _: Mapping, who: Who) -> Touched:
-        return Touched((), (Access(table, request.address, request.count, (), 0, *who),))
+    def find(request: Any, _: Mapping, who: Who) -> Accesses:
+        return Accesses((), (Access(table, request.address, request.count, (), 0, *who),))
 
     return TouchRule(table, "", find)
 
@@ -94,9 +94,9 @@ def _writing(
     table: str,
     values: Callable[[Any, Mapping], tuple[Any, ...]] = lambda request, _: request.values,
 ) -> TouchRule:
-    def find(request: Any, mapping: Mapping, who: Who) -> Touched:
+    def find(request: Any, mapping: Mapping, who: Who) -> Accesses:
         new = values(request, mapping)
-        return Touched((Access(table, request.address, len(new), new, 0, *who),))
+        return Accesses((Access(table, request.address, len(new), new, 0, *who),))
 
     return TouchRule("", table, find)
 
@@ -111,25 +111,25 @@ def _masked(request: pdu.MaskWriteRegister, mapping: Mapping) -> tuple[int]:
     return (current & request.and_mask | request.or_mask & ~request.and_mask & 0xFFFF,)
 
 
-def _read_write(request: pdu.ReadWriteRegisters, _: Mapping, who: Who) -> Touched:
+def _read_write(request: pdu.ReadWriteRegisters, _: Mapping, who: Who) -> Accesses:
     table, new = "holding_registers", request.values
     write = Access(table, request.write_address, len(new), new, 0, *who)
     read = Access(table, request.read_address, request.read_count, (), 0, *who)
-    return Touched((write,), (read,))
+    return Accesses((write,), (read,))
 
 
-def _read_files(request: pdu.ReadFileRecords, _: Mapping, who: Who) -> Touched:
+def _read_files(request: pdu.ReadFileRecords, _: Mapping, who: Who) -> Accesses:
     reads = [Access("file", at, count, (), file, *who) for file, at, count in request.records]
-    return Touched((), tuple(reads))
+    return Accesses((), tuple(reads))
 
 
-def _written_files(request: pdu.WriteFileRecords, _: Mapping, who: Who) -> Touched:
+def _written_files(request: pdu.WriteFileRecords, _: Mapping, who: Who) -> Accesses:
     writes = [Access("file", at, len(new), new, file, *who) for file, at, new in request.records]
-    return Touched(tuple(writes))
+    return Accesses(tuple(writes))
 
 
-def _fifo(request: pdu.ReadFifoQueue, _: Mapping, who: Who) -> Touched:
-    return Touched((), (Access("fifo", request.address, 1, (), 0, *who),))
+def _fifo(request: pdu.ReadFifoQueue, _: Mapping, who: Who) -> Accesses:
+    return Accesses((), (Access("fifo", request.address, 1, (), 0, *who),))
 
 
 ACCESSES: dict[type[pdu.Request[Any]], TouchRule] = {
@@ -166,18 +166,18 @@ _NOTHING = Mapping()
 
 def touched(
     request: pdu.Request[Any] | None, who: Who = (0, "", None), mapping: Mapping | None = None
-) -> Touched:
+) -> Accesses:
     """Return the accesses of a request; the values of a masked write depend on the mapping."""
     kind = ACCESSES.get(type(request))  # type: ignore[arg-type]
-    return Touched() if kind is None else kind.find(request, mapping or _NOTHING, who)
+    return Accesses() if kind is None else kind.find(request, mapping or _NOTHING, who)
 
 
-def touched_by(data: bytes) -> Touched:
+def touched_by(data: bytes) -> Accesses:
     """Return the accesses of a request PDU; one that cannot be decoded has none."""
     try:
         request = pdu.decode_request(data)
     except Exception:
-        return Touched()
+        return Accesses()
     return touched(request)
 
 
@@ -240,7 +240,7 @@ class ValueChange(NamedTuple):
     before: tuple[Any, ...] | None
 
 
-class Executed(NamedTuple):
+class ExecutedRequest(NamedTuple):
     """A request with its outcome: a change, or one that was refused."""
 
     caller: Caller
@@ -257,7 +257,7 @@ class Auditor(Protocol):
         """Return False if changes must be refused, because none can be recorded."""
         ...
 
-    def note(self, executed: Executed) -> None:
+    def note(self, executed: ExecutedRequest) -> None:
         """Record a request. Never raises."""
 
 

@@ -36,7 +36,7 @@ Code = tuple[int, int | None]
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class ClientRequest:
     """
     A request and its client, as they are passed to `authorize`.
 
@@ -60,7 +60,7 @@ class Asked:
     reads: tuple[Access, ...] = ()
 
 
-Authorize = Callable[[Asked], bool]
+Authorize = Callable[[ClientRequest], bool]
 
 
 class UnauthorizedError(IllegalFunction):
@@ -74,7 +74,7 @@ class Authorization:
         self._authorize = timed("authorize", authorize)
         self._log = log or LimitedLog(logger)
 
-    def check(self, asked: Asked) -> None:
+    def check(self, asked: ClientRequest) -> None:
         """Raise UnauthorizedError if a request is not allowed, TypeError for no bool."""
         decision = self._authorize(asked)
         if decision is True:
@@ -91,7 +91,7 @@ class Authorization:
         raise UnauthorizedError("not allowed", function=asked.function)
 
 
-def what_is_asked(asked: Asked) -> str:
+def what_is_asked(asked: ClientRequest) -> str:
     """Return function and unit of a request, and what it touches first, for the log."""
     ranges = [f"write {_range_text(access)}" for access in asked.writes[:1]]
     ranges += [f"read {_range_text(access)}" for access in asked.reads[:1]]
@@ -143,7 +143,7 @@ class Allow:
             _codes=None if is_all else frozenset(starmap(_code, enumerate(functions))),
         )
 
-    def allows(self, asked: Asked) -> bool:
+    def allows(self, asked: ClientRequest) -> bool:
         """
         Return True if a request and all its accesses are allowed.
 
@@ -210,7 +210,7 @@ class Rules:
     def __repr__(self) -> str:
         return f"Rules({self._roles!r})"
 
-    def __call__(self, asked: Asked) -> bool:
+    def __call__(self, asked: ClientRequest) -> bool:
         allow = self._roles.get(asked.role)
         return allow is not None and allow.allows(asked)
 

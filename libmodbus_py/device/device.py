@@ -16,7 +16,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
 
-from ..binding.library import Answered, Watched, answer_in_c, make_tally, replier, reply
+from ..binding.library import Answered, WatchedRequests, answer_in_c, make_tally, replier, reply
 from ..protocol.checks import integer
 from ..protocol.errors import (
     ExceptionResponse,
@@ -39,15 +39,15 @@ from ..protocol.tables import joined, without
 from .access import (
     ACCESSES,
     Access,
+    Accesses,
     Auditor,
     Caller,
-    Executed,
-    Touched,
+    ExecutedRequest,
     changes_of,
     touched,
     values_at,
 )
-from .authorization import Asked, Authorization, Authorize, UnauthorizedError
+from .authorization import Authorization, Authorize, ClientRequest, UnauthorizedError
 from .event_log import EventLog
 from .functions import DEFAULT_SERVER_ID, Handlers, PythonFunctions
 from .hooks import Hook, HookLike, Hooks
@@ -129,8 +129,8 @@ class Device(NamedValues, PythonFunctions):
         before_read: the same, called before a read; it may refresh the values or refuse. For
             function 23 it is called before the write, because nothing may be refused after a
             change.
-        authorize: called with an `Asked`; returns True if the request is allowed. `Rules` are
-            such a function. None allows all requests.
+        authorize: called with a `ClientRequest`; returns True if it is allowed. `Rules` are such a
+            function. None allows all requests.
         points: names, access and bounds of values in the tables, whose cells must all exist; None
             for no points.
 
@@ -222,7 +222,7 @@ class Device(NamedValues, PythonFunctions):
         )
         if self._guard is not None or self._has_another_answer():
             self._in_c = frozenset()
-        self._watched = Watched(self._in_c, reads, writes)
+        self._watched = WatchedRequests(self._in_c, reads, writes)
 
     @property
     def in_c(self) -> frozenset[int]:
@@ -376,7 +376,7 @@ class Device(NamedValues, PythonFunctions):
         from a 0-based address on, without unit, peer and role. Its exceptions are raised.
         """
         with self.mapping.lock:
-            self._hooks.before(Touched(reads=(Access(table, address, count, device=self),)))
+            self._hooks.before(Accesses(reads=(Access(table, address, count, device=self),)))
 
     def _own_log(self) -> EventLog:
         """Return the notes about TCP, including those made in C."""
@@ -407,7 +407,7 @@ class Device(NamedValues, PythonFunctions):
                 response = self._respond(pdu, log, caller.telling(refusals.append))
         # The code of the response does not tell: exception 1 may also come from the function.
         if changes or refusals:
-            auditor.note(Executed(caller, pdu, response, values, changes))
+            auditor.note(ExecutedRequest(caller, pdu, response, values, changes))
         return response
 
     def _respond(self, pdu: bytes, log: EventLog, caller: Caller) -> bytes:
@@ -436,7 +436,7 @@ class Device(NamedValues, PythonFunctions):
         if self._guard is None:
             return
         accesses = touched(request, caller.who, self.mapping)
-        asked = Asked(caller.role, caller.unit, caller.peer, function, request, *accesses)
+        asked = ClientRequest(caller.role, caller.unit, caller.peer, function, request, *accesses)
         try:
             self._guard.check(asked)
         except BaseException as error:
@@ -459,7 +459,7 @@ class Device(NamedValues, PythonFunctions):
                     self._rules.check(touched, self.mapping)
                 if not self._hooks.is_empty:
                     if writes or self.has_points:
-                        touched = Touched(*(tuple(map(self._described, side)) for side in touched))
+                        touched = Accesses(*(tuple(map(self._described, side)) for side in touched))
                     else:
                         for access in reads:  # of this request alone; a copy is a third of its cost
                             object.__setattr__(access, "device", self)

@@ -14,7 +14,7 @@ from ..protocol.checks import checked_callback, finished
 from ..protocol.logs import HarmlessLogger
 from ..protocol.mistakes import named_arguments
 from ..protocol.tables import TABLE_SIZE, checked_ranges, joined, touches
-from .access import READABLE, Access, Touched
+from .access import READABLE, Access, Accesses
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -127,13 +127,13 @@ class Hooks:
         self.writes: dict[str, tuple[range, ...]] = _places(self._before_write, self._after_write)
         self.is_empty: bool = before_write is after_write is before_read is refresh is None
 
-    def before(self, touched: Touched) -> None:
+    def before(self, touched: Accesses) -> None:
         """Call the hooks that may refuse accesses."""
         _call(self._before_write, touched.writes)
         _call(self._refresh, touched.reads)
         _call(self._before_read, touched.reads)
 
-    def after(self, touched: Touched) -> None:
+    def after(self, touched: Accesses) -> None:
         _call(self._after_write, touched.writes)
 
 

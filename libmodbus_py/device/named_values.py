@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ..protocol.errors import IllegalDataAddress, IllegalDataValue
 from ..protocol.mistakes import WrongType, WrongValue, close_to
 from ..protocol.tables import TABLES, joined, touches, without
-from .access import Access, TableOrFile, Touched
+from .access import Access, Accesses, TableOrFile
 from .mapping import Mapping
 
 if TYPE_CHECKING:
@@ -237,7 +237,7 @@ class PointRules:
         in_bounds = [(rule.place, (rule.cells,)) for rule in bounded]
         self.writes: dict[str, Ranges] = _by_table([*self._unwritable.items(), *in_bounds])
 
-    def check(self, touched: Touched, mapping: Mapping) -> None:
+    def check(self, touched: Accesses, mapping: Mapping) -> None:
         """Refuse accesses to existing addresses that break a rule. Hold the mapping's lock."""
         for accesses, forbidden, verb in (
             (touched.writes, self._unwritable, "written"),

@@ -53,7 +53,7 @@ EVERY = "every"
 TEMPORARY = ".new"
 
 
-class Stateful(Protocol):
+class StateOwner(Protocol):
     """The part of a `Device`, which imports this, whose values are kept."""
 
     @property
@@ -68,7 +68,7 @@ class Stateful(Protocol):
     def first_values(self) -> Iterable[Access]: ...
 
 
-Devices = MappingABC[int | None, Stateful]
+Devices = MappingABC[int | None, StateOwner]
 """Unit -> device; None stands for every unit."""
 
 Cells = dict[TableOrFile, "tuple[int, array[int]]"]
@@ -78,13 +78,13 @@ Cells = dict[TableOrFile, "tuple[int, array[int]]"]
 # --- the values of a device -------------------------------------------------------------------
 
 
-def _views(device: Stateful) -> dict[TableOrFile, tuple[int, memoryview]]:
+def _views(device: StateOwner) -> dict[TableOrFile, tuple[int, memoryview]]:
     tables = {(name, 0): getattr(device.mapping, name) for name in TABLES}
     files = {("file", number): (0, file.view) for number, file in device.files.items()}
     return {place: (table.addresses.start, table.view) for place, table in tables.items()} | files
 
 
-def fingerprint(device: Stateful) -> bytes:
+def fingerprint(device: StateOwner) -> bytes:
     """Return a digest of all values, so that only changed ones are encoded."""
     digest = hashlib.blake2b(digest_size=16, usedforsecurity=False)
     with device.mapping:
@@ -93,13 +93,13 @@ def fingerprint(device: Stateful) -> bytes:
     return digest.digest()
 
 
-def _present(device: Stateful) -> Cells:
+def _present(device: StateOwner) -> Cells:
     """Return copies of all values. Hold the mapping's lock."""
     views = _views(device).items()
     return {place: (start, array(view.format, bytes(view))) for place, (start, view) in views}
 
 
-def _with_values(device: Stateful, values: Iterable[Access]) -> Cells:
+def _with_values(device: StateOwner, values: Iterable[Access]) -> Cells:
     """Return the first values, with others in their place. Hold the mapping's lock."""
     views = _views(device).items()
     cells_of = {place: (at, array(view.format, bytes(view.nbytes))) for place, (at, view) in views}
@@ -122,7 +122,7 @@ def _differences(present: Cells, others: Cells) -> Iterator[Access]:
             yield Access(table, start + run[0], len(run), values, file)
 
 
-def _set_values(device: Stateful, values: Iterable[Access]) -> None:
+def _set_values(device: StateOwner, values: Iterable[Access]) -> None:
     """Set these values, and all others to the first ones."""
     with device.mapping as mapping:
         # Equal cells are not written, because untouched pages of zeros take no memory.
@@ -142,7 +142,7 @@ def state_text(units: Iterable[str]) -> str:
     return f'{{"libmodbus-py": "{KIND}", "version": {VERSION}, "units": {{\n{body}\n}}}}\n'
 
 
-def unit_text(unit: int | None, device: Stateful) -> str:
+def unit_text(unit: int | None, device: StateOwner) -> str:
     """Return the part of a unit in the text of a file; empty if it has only first values."""
     with device.mapping:
         present, first = _present(device), _with_values(device, ())
@@ -150,7 +150,7 @@ def unit_text(unit: int | None, device: Stateful) -> str:
     return f'"{EVERY if unit is None else unit}": {JSON.encode(values)}' if values else ""
 
 
-def _unit_object(device: Stateful, values: Iterable[Access]) -> dict[str, Any]:
+def _unit_object(device: StateOwner, values: Iterable[Access]) -> dict[str, Any]:
     content: dict[str, Any] = {}
     cells: dict[str, list[range]] = {}
     for value in values:
@@ -218,7 +218,7 @@ def _checked_units(content: object, devices: Devices) -> dict[int | None, list[A
     return units
 
 
-def _checked_unit(unit: object, device: Stateful) -> Iterator[Access]:
+def _checked_unit(unit: object, device: StateOwner) -> Iterator[Access]:
     keys = _object((), unit, ("points", *TABLES, "files"))
     for name, meaning in _object(("points",), keys.pop("points", {})).items():
         point = device.points.get(name)
@@ -234,7 +234,9 @@ def _checked_unit(unit: object, device: Stateful) -> Iterator[Access]:
         yield from _checked_runs((table,), runs, (table, 0), device)
 
 
-def _checked_runs(path: Path, items: object, place: TableOrFile, device: Stateful) -> list[Access]:
+def _checked_runs(
+    path: Path, items: object, place: TableOrFile, device: StateOwner
+) -> list[Access]:
     table, file = place
     most = 1 if table in TABLES and TABLES[table].is_bits else 0xFFFF
     runs = []

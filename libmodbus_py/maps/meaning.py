@@ -55,7 +55,7 @@ def no_value(name: str, kind: ValueType, error: ValueError) -> NoValue:
     return NoValue(name, reason, f"has no value: {error}")
 
 
-class Judged(NamedTuple):
+class DecodedValue(NamedTuple):
     """
     A value, as `Point.decode` returns it, or the reason of `NoValue` why there is none; of a list,
     the reason of the first item that is None.
@@ -66,7 +66,7 @@ class Judged(NamedTuple):
     reason: Reason | Literal[""] = ""
 
     @classmethod
-    def of(cls, results: Sequence[Any], *, is_list: bool) -> Judged:
+    def of(cls, results: Sequence[Any], *, is_list: bool) -> DecodedValue:
         """Return the values that were found in a point, where `NoValue` stands for none."""
         bad = [result for result in results if isinstance(result, NoValue)]
         if not is_list:

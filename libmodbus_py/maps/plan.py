@@ -22,7 +22,7 @@ from ..protocol.tables import TABLE_SIZE, TABLES, checked_ranges, checked_table,
 from ..protocol.value_types import cells_of
 from .items import Borders, Forbidden, Items, NamedValues, PlanOptions, Read, checked_items
 from .meaning import no_value
-from .refusals import Block, BlockPiece, PartialAnswer, Refusals, Span, Unreadable
+from .refusals import Block, BlockPiece, PartialAnswer, Refusals, Span, UnreadableItem
 
 
 class _Part(NamedTuple):
@@ -239,14 +239,14 @@ def planned(items: Plan | Items, options: PlanOptions) -> Plan:
     return items
 
 
-def unreadable_of(plan: Plan, refusals: Refusals, device: str) -> list[Unreadable]:
+def unreadable_of(plan: Plan, refusals: Refusals, device: str) -> list[UnreadableItem]:
     """Return the items of a plan that a device is known to refuse."""
     errors: dict[Any, ModbusError] = {}
     for span, names in chain.from_iterable(plan.blocks):
         if (past := refusals.pieces.get(span)) is not None:
             errors |= dict.fromkeys(names, past.error)
     return [
-        Unreadable(device, name, read.table, read.cells, errors[name])
+        UnreadableItem(device, name, read.table, read.cells, errors[name])
         for name, read in plan._reads.items()
         if name in errors
     ]

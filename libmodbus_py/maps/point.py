@@ -16,7 +16,7 @@ from ..protocol.pdu.request import checked_sequence
 from ..protocol.tables import Table
 from ..protocol.values import Order, TypeName
 from .items import Read
-from .meaning import CellChange, Judged, Meaning, NoValue
+from .meaning import CellChange, DecodedValue, Meaning, NoValue
 from .point_checks import check_point
 from .scaling import Scaling, exact, scaling_by
 
@@ -214,7 +214,7 @@ class Point:
         """
         return self.judge(cells, source=source).value
 
-    def judge(self, cells: Sequence[Any], *, source: float | None = None) -> Judged:
+    def judge(self, cells: Sequence[Any], *, source: float | None = None) -> DecodedValue:
         """Return the value that the cells hold, or the reason why there is none; as `decode`."""
         try:
             if len(cells) != len(self.cells):
@@ -222,13 +222,13 @@ class Point:
             try:
                 scaling = self.scaling_for(source)
             except NoValue as none:
-                return Judged.of([none] * self.count, is_list=self.count > 1)
+                return DecodedValue.of([none] * self.count, is_list=self.count > 1)
             results = self.meaning.values_in(cells, scaling)
         except (TypeError, ValueError) as error:
             # A plain error: readings of fleets have the name of its class as their reason.
             kind = TypeError if isinstance(error, TypeError) else ValueError
             raise kind(f"{self.name}: {error}") from None
-        return Judged.of(results, is_list=self.count > 1)
+        return DecodedValue.of(results, is_list=self.count > 1)
 
     def scaling_for(self, source: object) -> Scaling | None:
         """Return the scaling, None where raw values are values; or raise NoValue for no scale."""

@@ -94,7 +94,7 @@ def _request(block: Block) -> pdu.Request[list[Any]]:
 
 
 @dataclass(frozen=True, slots=True)
-class Unreadable:
+class UnreadableItem:
     """
     An item of a plan that a device refuses, and that is left out for a time.
 

@@ -182,7 +182,7 @@ class Outage:
         return True
 
 
-class Abandoned(Protocol):
+class DescriptorOwner(Protocol):
     """An object with descriptors, such as a server or the driver of a client."""
 
     def abandon(self) -> None:
@@ -191,9 +191,9 @@ class Abandoned(Protocol):
 
 # While a forked child has a copy of a descriptor, no peer sees the end of a connection that the
 # parent closes, and no port is free again.
-_abandoned: weakref.WeakSet[Abandoned] = weakref.WeakSet()
+_abandoned: weakref.WeakSet[DescriptorOwner] = weakref.WeakSet()
 
-abandoned_in_children: Callable[[Abandoned], None] = _abandoned.add
+abandoned_in_children: Callable[[DescriptorOwner], None] = _abandoned.add
 """Call `abandon` of an object in every child that is forked while it exists."""
 
 

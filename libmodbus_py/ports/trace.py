@@ -21,7 +21,7 @@ WIRE = "libmodbus_py.wire"
 _wire: Logger | None = None
 
 
-class Traced(NamedTuple):
+class TracedFrame(NamedTuple):
     """
     One ADU that was sent or received, or bytes that are not a frame.
 
@@ -68,7 +68,7 @@ class Traced(NamedTuple):
         return f"{where} {arrow} {what}{self.adu.hex(' ')}"
 
 
-OnTraced = Callable[[Traced], object]
+OnTraced = Callable[[TracedFrame], object]
 
 
 def is_traced(callback: OnTraced | None) -> bool:
@@ -106,13 +106,13 @@ class Trace:
             assert _wire is not None
             self.is_on = partial(_wire.isEnabledFor, 10)
             return
-        frame = Traced(time.time(), self._endpoint, direction, adu, unit, function, self._peer)
+        frame = TracedFrame(time.time(), self._endpoint, direction, adu, unit, function, self._peer)
         if self._later is None:
             self._publish(frame)
         else:
             self._later("trace", partial(self._publish, frame))
 
-    def _publish(self, frame: Traced) -> None:
+    def _publish(self, frame: TracedFrame) -> None:
         try:
             if _is_logged() and _wire is not None:
                 _wire.debug("%s", frame)

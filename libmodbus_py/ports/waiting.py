@@ -42,7 +42,7 @@ class Ready(NamedTuple):
 Steps = Generator[Ready | Resolve, Any, Result]
 
 
-class Woken(Exception):
+class WaitInterrupted(Exception):
     """The wait was ended from another thread."""
 
 
@@ -102,7 +102,7 @@ class Waker:
         if not ready:
             return False
         if ready[0][0] == self.descriptor:
-            raise Woken
+            raise WaitInterrupted
         return True
 
     def wait(self, descriptor: int, events: int, deadline: float) -> bool:
@@ -120,7 +120,7 @@ class Waker:
             while not ready and (remainder := deadline - self.now()) > 0:
                 ready = dict(poll.poll(milliseconds(min(remainder, LONGEST))))
         if self.descriptor in ready:
-            raise Woken
+            raise WaitInterrupted
         return ready
 
 

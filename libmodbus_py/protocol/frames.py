@@ -41,7 +41,7 @@ class Frame(NamedTuple):
 _new_frame: Callable[[tuple[int, bytes, int]], Frame] = partial(tuple.__new__, Frame)
 
 
-class Overheard(Frame):
+class OverheardResponse(Frame):
     """
     A response of another unit on the line, which a server hears.
 

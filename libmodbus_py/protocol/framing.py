@@ -26,7 +26,7 @@ from .frames import (
     Frame,
     Framer,
     Framing,
-    Overheard,
+    OverheardResponse,
     Role,
     TcpFramer,
     UdpFramer,
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "LINE_FEED", "AsciiFramer", "Frame", "Framer", "Framing", "Overheard", "RtuFramer",
+    "LINE_FEED", "AsciiFramer", "Frame", "Framer", "Framing", "OverheardResponse", "RtuFramer",
     "TcpFramer", "UdpFramer", "crc16", "cut", "delimiter_after", "is_delimiter", "is_one_frame",
     "lrc", "make_framer", "pdu_of", "split", "transaction_of",
 ]
@@ -124,7 +124,7 @@ class RtuFramer(Framer):
         pieces, count = self._cutter.cut(data, is_silent=is_silent)
         for start, end, kind in pieces:
             if kind != "damage":
-                frame_class = Frame if kind == self._usual else Overheard
+                frame_class = Frame if kind == self._usual else OverheardResponse
                 self._results.append(frame_class(data[start], data[start + 1 : end - 2]))
             elif not self._in_run:
                 self._report("bytes without a fitting CRC", data[start:end])

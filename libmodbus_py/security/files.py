@@ -97,7 +97,7 @@ def _read_pins(pins: Iterable[File]) -> dict[str, bytes]:
     return result
 
 
-class Revoked:
+class RevocationLists:
     """The revocation lists of a file (RFC 5280, 5), for connections open before it was changed."""
 
     def __init__(self, file: PemFile) -> None:
@@ -139,7 +139,7 @@ class SecurityFiles(NamedTuple):
     crl: PemFile | None
 
 
-class Loaded:
+class LoadedFiles:
     """The content of the files; errors are those of `Security`."""
 
     def __init__(self, files: SecurityFiles) -> None:
@@ -151,7 +151,9 @@ class Loaded:
         self._pins = {} if files.trust is not None else _read_pins(files.pins)
         self._trusted = [] if files.trust is None else files.trust.certificates()
         self._authorities = frozenset(map(digest_of, self._trusted))
-        self.revoked: Revoked | None = None if files.crl is None else Revoked(files.crl)
+        self.revoked: RevocationLists | None = (
+            None if files.crl is None else RevocationLists(files.crl)
+        )
         self.client: ssl.SSLContext = self._make_client()
         self._server = self._make_server()
 
@@ -176,7 +178,7 @@ class Loaded:
         """Return True if a certificate is one of the pins, or there are none."""
         return not self._pins or digest_of(certificate) in self._pins
 
-    def refusal_of(self, before: Loaded, chain: Iterable[bytes]) -> str | None:
+    def refusal_of(self, before: LoadedFiles, chain: Iterable[bytes]) -> str | None:
         """Return why a connection must end that earlier files accepted; its own is first."""
         own, *issuers = chain
         if self.has_pins:
@@ -255,7 +257,7 @@ class Acceptance:
 
     __slots__ = ("_before", "_ends", "_loaded", "_tunnel")
 
-    def __init__(self, load: Callable[[], Loaded | None]) -> None:
+    def __init__(self, load: Callable[[], LoadedFiles | None]) -> None:
         self._loaded = load
         # Files that change during the handshake must be compared with those at its beginning.
         self._before = load()

@@ -19,7 +19,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from ..protocol.logs import HarmlessLogger
 from ..protocol.mistakes import Problem, named_arguments
 from ..system import open_file
-from .files import Acceptance, File, Loaded, PemFile, SecurityFiles
+from .files import Acceptance, File, LoadedFiles, PemFile, SecurityFiles
 from .tunnel import Tunnel, expiry, name_of
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
@@ -91,7 +91,7 @@ class Security:
             None if crl is None else PemFile("crl", crl),
         )
         self._server_name = server_name
-        self.loaded: Loaded = Loaded(self._files)
+        self.loaded: LoadedFiles = LoadedFiles(self._files)
         self._warned_at = -math.inf
         if server_name is not None:
             try:
@@ -117,7 +117,7 @@ class Security:
         Raises:
             TypeError, ValueError: a file is wrong; nothing has changed.
         """
-        self.loaded = Loaded(self._files)
+        self.loaded = LoadedFiles(self._files)
         self._warned_at = -math.inf
 
     @property
@@ -251,7 +251,7 @@ class _Reloadable(Protocol):
     def reload(self) -> None: ...
 
 
-class Renewed(Generic[T]):
+class RenewedValue(Generic[T]):
     """A value that `read` makes of files, as of the last time that all of them were good."""
 
     def __init__(self, read: Callable[[], T]) -> None:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from ..device.access import Executed, ValueChange
+from ..device.access import ExecutedRequest, ValueChange
 from ..device.authorization import INTERVAL_S
 from ..protocol.checks import checked_callback, finished
 from ..protocol.errors import ExceptionResponse
@@ -150,7 +150,7 @@ class Audit:
             return False
         return True
 
-    def note(self, executed: Executed) -> None:
+    def note(self, executed: ExecutedRequest) -> None:
         """Record a request that changes a device, or is not allowed. Never raises."""
         caller = executed.caller
         self._tell(

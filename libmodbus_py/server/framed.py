@@ -10,7 +10,15 @@ from ..ports.endpoint import Endpoint
 from ..ports.trace import Trace
 from ..protocol.echo import Echo
 from ..protocol.errors import FrameError
-from ..protocol.framing import Frame, Framer, Framing, Overheard, RtuFramer, make_framer, pdu_of
+from ..protocol.framing import (
+    Frame,
+    Framer,
+    Framing,
+    OverheardResponse,
+    RtuFramer,
+    make_framer,
+    pdu_of,
+)
 from ..protocol.logs import HarmlessLogger
 from ..protocol.rtu import may_be
 from .limits import ServerStatistics
@@ -54,7 +62,7 @@ class SessionSettings:
             logger.warning(text, self.endpoint)
 
 
-class Framed(ABC):
+class FrameServer(ABC):
     """
     Finds the frames for units that are ours in what a channel receives, and writes the answers.
     """
@@ -160,7 +168,7 @@ class Framed(ABC):
             self._last_answer = b""
             if frame is not self._open_request:
                 self._open_request = None
-            if isinstance(frame, Overheard):
+            if isinstance(frame, OverheardResponse):
                 self.note_overheard(frame)
             else:
                 requests += 1
@@ -191,7 +199,7 @@ class Framed(ABC):
         logger.debug("%s: %s: %s", address, error, error.received.hex(" "))
         self.statistics.bad_frames += 1
 
-    def note_overheard(self, answer: Overheard) -> None:  # noqa: B027  # gateways count no units
+    def note_overheard(self, answer: OverheardResponse) -> None:  # noqa: B027  # gateways count no units
         """Note what another unit on the line answers."""
 
     def _search(self) -> None:

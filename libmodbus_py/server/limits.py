@@ -185,13 +185,13 @@ class Allowance:
         self._left -= requests
 
 
-class Paused(Protocol):
+class PausedConnection(Protocol):
     """A connection that is not read while its address exceeds its limit of requests."""
 
     def resume(self) -> None: ...
 
 
-Each = TypeVar("Each", bound=Paused)
+Each = TypeVar("Each", bound=PausedConnection)
 
 
 class Address(Generic[Each]):

@@ -13,7 +13,7 @@ from ..ports.serial import SerialPort
 from ..ports.trace import Trace
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
-from .framed import Framed
+from .framed import FrameServer
 from .limits import ServerStatistics
 from .service import ENDS, Service, SessionState
 
@@ -138,7 +138,7 @@ class SerialServer:
             return
         silence = self._port.silence
         silence.sent(len(data), now)
-        if isinstance(self._session, Framed):
+        if isinstance(self._session, FrameServer):
             self._session.sent(data, silence.over_at - silence.seconds)
         self._follow_port()
 

@@ -46,7 +46,7 @@ class Server(Serving):
             always does. None for no such unit.
         security: the certificates of the server and of trusted clients, for tls; URLs may contain
             them instead.
-        trace: called in the server's loop with a `Traced` for every ADU received and sent; the
+        trace: called in the server's loop with a `TracedFrame` for every ADU received and sent; the
             logger ``libmodbus_py.wire`` gets the same at DEBUG. Whether tracing is on is
             checked when a connection is made, or a port opened. If the function fails or takes
             long, this is logged once, and requests are not affected; SystemExit and

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, NoReturn
 from ..device.authorization import LimitedLog, in_time
 from ..device.hooks import timed
 from ..ports.endpoint import Endpoint, parse_to_listen
-from ..ports.trace import OnTraced, Trace, Traced, is_traced
+from ..ports.trace import OnTraced, Trace, TracedFrame, is_traced
 from ..protocol.checks import checked_callback
 from ..protocol.logs import HarmlessLogger
 from .limits import Limits, ServerStatistics
@@ -257,7 +257,7 @@ class Serving(ABC):
         traced already.
 
         Args:
-            callback: called in the server's loop with a `Traced`.
+            callback: called in the server's loop with a `TracedFrame`.
 
         Raises:
             TypeError: the callback is not a function.
@@ -288,7 +288,7 @@ class Traces:
     def __bool__(self) -> bool:
         return bool(self._all)
 
-    def __call__(self, frame: Traced) -> None:
+    def __call__(self, frame: TracedFrame) -> None:
         for callback in self._all:
             callback(frame)
 
@@ -332,7 +332,7 @@ def _harmless(callback: OnTraced) -> OnTraced:
     call = timed("trace", callback)
     has_failed = False
 
-    def harmless(frame: Traced) -> None:
+    def harmless(frame: TracedFrame) -> None:
         nonlocal has_failed
         try:
             call(frame)

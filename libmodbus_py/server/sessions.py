@@ -19,7 +19,7 @@ from ..protocol.frames import (
     UNIT,
     Frame,
     Framer,
-    Overheard,
+    OverheardResponse,
     cut,
     is_one_frame,
     mbap,
@@ -27,7 +27,7 @@ from ..protocol.frames import (
 )
 from ..protocol.framing import AsciiFramer, TcpFramer
 from .faults import Faults, Fragment, ServerFault
-from .framed import FRAMES_AT_ONCE, Framed, SessionSettings
+from .framed import FRAMES_AT_ONCE, FrameServer, SessionSettings
 from .limits import ServerStatistics
 from .service import Channel, Later, SessionState
 from .units import SerialUnits, TcpUnits
@@ -39,7 +39,7 @@ answers to a client that does not wait for them."""
 _request = itemgetter(1)
 
 
-class ByFrame(Framed):
+class ByFrame(FrameServer):
     """A session of any framing, which answers frame by frame."""
 
     def __init__(
@@ -74,7 +74,7 @@ class ByFrame(Framed):
         super().note_damage(error)
         self._units.note_damage(overrun=error.overrun)
 
-    def note_overheard(self, answer: Overheard) -> None:
+    def note_overheard(self, answer: OverheardResponse) -> None:
         self._units.note_overheard()
 
     def _take_one(self, request: Frame) -> None:

@@ -38,7 +38,7 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 HALF_OPEN = 1000
 
 
-class Whose(NamedTuple):
+class CertificateOwner(NamedTuple):
     """A certificate that is described only in a line that is logged: that takes a while."""
 
     certificate: bytes
@@ -289,7 +289,7 @@ class TlsSession:
         if (auditor := self._handshakes.auditor) is not None:
             holder = holder_of(certificate) if certificate else None
             auditor.note_peer("handshake", self.address, reason, holder)
-        message, whose = "%s: TLS refused: %s%s", Whose(certificate)
+        message, whose = "%s: TLS refused: %s%s", CertificateOwner(certificate)
         self._handshakes.log.warning(message, self.address, reason, whose, reason=reason)
         self._finish()
 

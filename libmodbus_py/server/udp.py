@@ -34,7 +34,7 @@ from .limits import (
     Addresses,
     Allowance,
     Limits,
-    Paused,
+    PausedConnection,
     ServerStatistics,
 )
 from .peers import bound
@@ -175,7 +175,7 @@ class Sources:
         self._loop = asyncio.get_running_loop()
         # An answer can be seven times as long as its request, and go to a host that never asked.
         self._rate = limits.requests_per_second or 1000.0
-        self._addresses: Addresses[Paused] = Addresses(self._rate)
+        self._addresses: Addresses[PausedConnection] = Addresses(self._rate)
         self._returns: OrderedDict[int, Allowance] = OrderedDict()
 
     def admit(self, datagram: bytes, source: tuple[str, int]) -> bool:
@@ -223,7 +223,7 @@ class Sources:
     def _is_too_fast(self, host: str) -> bool:
         if self._limits.requests_per_second is None and is_loopback(host):
             return False
-        address: Address[Paused] = self._addresses.get(host)
+        address: Address[PausedConnection] = self._addresses.get(host)
         self._addresses.keep(address)
         if address.is_overspent():
             return True

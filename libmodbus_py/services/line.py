@@ -33,7 +33,7 @@ from functools import partial
 from typing import Any, Generic, TypeVar
 
 from ..client.asynchronous import AsyncClient
-from ..client.sender import Sender, Submitted
+from ..client.sender import Sender, SubmittedRequest
 from ..ports.waiting import Alarm
 from ..protocol.errors import ExceptionResponse, ModbusTimeoutError
 
@@ -73,7 +73,7 @@ class LineRequest:
         self.misses: int = 0  # of the unit, in a row
         self.waits_since: float = 0.0
         self.asked_at: float = 0.0
-        self.submitted: Submitted | None = None  # while it is in flight
+        self.submitted: SubmittedRequest | None = None  # while it is in flight
 
 
 Job = TypeVar("Job", bound=LineRequest)

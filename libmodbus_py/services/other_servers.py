@@ -21,7 +21,7 @@ from ..files.texts import FileError, FilePlace
 from ..ports.hosts import host_and_port
 from ..protocol.mistakes import WrongType, WrongValue
 from ..security.certificates import in_words
-from ..security.security import Renewed, read_secret
+from ..security.security import RenewedValue, read_secret
 
 
 class ServerUrl(NamedTuple):
@@ -80,7 +80,7 @@ class SecretFile:
     def __init__(self, path: str | PathLike[str], kind: type[FileError] = FileError) -> None:
         self.path: str = os.fspath(path)
         self._kind = kind
-        self._content = Renewed(self._read)
+        self._content = RenewedValue(self._read)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, SecretFile) and self.path == other.path
@@ -117,12 +117,12 @@ class Trust:
     def __init__(self, ca: str | None, sockets: type[ssl.SSLSocket] = ssl.SSLSocket) -> None:
         self._ca = ca
         self._sockets = sockets
-        self._made: Renewed[ssl.SSLContext] | None = None
+        self._made: RenewedValue[ssl.SSLContext] | None = None
 
     async def context(self) -> ssl.SSLContext:
         """Return the context of TLS, or raise OSError; a file is read again each time."""
         if self._made is None:
-            self._made = await asyncio.to_thread(Renewed, self._read)
+            self._made = await asyncio.to_thread(RenewedValue, self._read)
             return self._made.value
         return await asyncio.to_thread(self._made.fresh)
 

@@ -22,7 +22,7 @@ AUTHORITY = "ca"
 
 
 @dataclass(frozen=True)
-class Issued:
+class IssuedCertificate:
     """A certificate in a folder; `name` is that of its file, or of the machine that it is for."""
 
     name: str
@@ -90,7 +90,7 @@ class Authority:
             if isinstance(extension.value, x509.CRLNumber):
                 self._number = extension.value.crl_number
 
-    def issued(self) -> dict[str, Issued]:
+    def issued(self) -> dict[str, IssuedCertificate]:
         """
         Return the certificates of the authority in its folder by name, its own first.
 
@@ -113,7 +113,7 @@ class Authority:
             # Not the issuer, because authorities of one command have one name.
             if self._issuer_key in [extension.value for extension in certificate.extensions]:
                 is_revoked = certificate.serial_number in self._revocations
-                issued[name] = Issued(name, path, certificate, is_revoked)
+                issued[name] = IssuedCertificate(name, path, certificate, is_revoked)
         return issued
 
     def renew(self, names: Iterable[str] = (), days: float | None = None) -> list[Path]:
@@ -208,7 +208,7 @@ class Authority:
             replace_file(folder / path.name, path.read_text())
             (folder / path.name).chmod(0o644)
 
-    def _serial(self, name: str, issued: dict[str, Issued]) -> int:
+    def _serial(self, name: str, issued: dict[str, IssuedCertificate]) -> int:
         if name == AUTHORITY:
             raise ValueError("an authority cannot revoke itself: trust another one instead")
         if name in issued:
@@ -218,7 +218,7 @@ class Authority:
             self._check_name(name, issued)
         return int(digits, 16)
 
-    def _check_name(self, name: str, issued: dict[str, Issued]) -> None:
+    def _check_name(self, name: str, issued: dict[str, IssuedCertificate]) -> None:
         if name not in issued:
             names = ", ".join(issued)
             raise ValueError(f"{name!r} is no certificate in {self._directory}, which has {names}")

@@ -10,14 +10,14 @@ import pytest
 from libmodbus_py import IllegalDataAddress, ModbusConnectionError, pdu
 from libmodbus_py.client.call import Batch, Timeouts
 from libmodbus_py.client.reconnecting import State
-from libmodbus_py.ports.trace import Traced
+from libmodbus_py.ports.trace import TracedFrame
 from tests.support.driver import ASCII, LINE, TCP, Driver, ascii_frame, kinds, tcp
 from tests.support.replies import BOTH, answer, exchange, refusal
 
 
 def test_a_trace_gets_every_frame_and_noise() -> None:
     for url, garbage in ((TCP, "0001 0007 0003 01 83 02"), (LINE, "55 AA 55 AA"), (ASCII, "3A")):
-        frames: list[Traced] = []
+        frames: list[TracedFrame] = []
         driver = Driver(url, trace=frames.append, timeout=1)
         driver.ask(5)
         noise = bytes.fromhex(garbage)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusError, State, Traced, pdu
+from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusError, State, TracedFrame, pdu
 from libmodbus_py.client.call import Call
 from tests.simulation.scripted import Scripted
 from tests.support.cases import each_case
@@ -56,7 +56,7 @@ def test_cancelled_callers_do_not_end_the_connecting_of_others() -> None:
 
 def test_an_answer_that_is_read_in_the_turn_of_the_cancellation() -> None:
     async def main(peer: Scripted) -> None:
-        def note(frame: Traced) -> None:
+        def note(frame: TracedFrame) -> None:
             if frame.direction == "received" and not reading.done():
                 reading.cancel("no longer needed")
 

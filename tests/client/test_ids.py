@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from libmodbus_py import FrameError, ModbusConnectionError, ModbusTimeoutError, Traced, pdu
+from libmodbus_py import FrameError, ModbusConnectionError, ModbusTimeoutError, TracedFrame, pdu
 from tests.support.driver import Driver, kinds, tcp
 from tests.support.replies import exchange
 
@@ -112,7 +112,7 @@ def test_a_request_that_nobody_answers_takes_the_turnaround_before_the_next_one(
 
 
 def test_frames_before_the_first_request_are_traced() -> None:
-    frames: list[Traced] = []
+    frames: list[TracedFrame] = []
     driver = Driver(trace=frames.append)
     frame = bytes.fromhex("0009 0000 0005 01 03 02 0007")
     driver.come(frame)

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from libmodbus_py import InvalidResponse, ModbusError, ModbusTimeoutError, pdu
-from libmodbus_py.ports.trace import Traced
+from libmodbus_py.ports.trace import TracedFrame
 from tests.support.cases import each_case
 from tests.support.driver import LINE, Driver, kinds, small_memory, value
 from tests.support.replies import exchange, time_out
@@ -270,7 +270,7 @@ def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> 
     ids=["an answer", "noise", "half an answer", "an answer and more", "noise and an answer"],
 )
 def test_unrequested_frames_are_traced(late: bytes) -> None:
-    events: list[Traced] = []
+    events: list[TracedFrame] = []
     driver = Driver(LINE, timeout=1, trace=events.append)
     time_out(driver, 0)
     driver.come(late)

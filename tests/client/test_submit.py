@@ -18,7 +18,7 @@ from libmodbus_py.client.sender import Sender
 from libmodbus_py.ports.port import Port
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.ports.sockets import StreamPort
-from libmodbus_py.ports.trace import Traced
+from libmodbus_py.ports.trace import TracedFrame
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.scripted import Scripted
 from tests.support.clients import World
@@ -210,7 +210,7 @@ def test_unsent_frames_are_not_traced(world: World, monkeypatch) -> None:
     def fail(self: Port, adus: list[bytes], now: float) -> None:
         raise ModbusConnectionError("reset", errno=errno.ECONNRESET)
 
-    frames: list[Traced] = []
+    frames: list[TracedFrame] = []
     with world.client_of("tcp", on_read, trace=frames.append) as plc:
         with monkeypatch.context() as patch:
             patch.setattr(StreamPort, "send", fail)

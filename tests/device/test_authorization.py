@@ -11,7 +11,7 @@ from fuzz.checks import REQUEST_OBJECTS, examples
 from libmodbus_py import Access, Device, IllegalDataAddress, Mapping, ServerDeviceBusy, pdu
 from libmodbus_py.device.authorization import Authorization, UnauthorizedError
 from libmodbus_py.device.event_log import EventLog
-from libmodbus_py.serve import Asked, Caller
+from libmodbus_py.serve import Caller, ClientRequest
 from tests.support.cases import each_case
 
 CLASSES = {*pdu.REQUESTS.values(), pdu.ReadDeviceIdentification}
@@ -43,8 +43,8 @@ class Tables:
         return [bytes(table.view) for table in tables], files, device.diagnostic_register
 
 
-def denying(requests: list[Asked]) -> Any:
-    def authorize(asked: Asked) -> bool:
+def denying(requests: list[ClientRequest]) -> Any:
+    def authorize(asked: ClientRequest) -> bool:
         requests.append(asked)
         return False
 
@@ -59,7 +59,7 @@ def test_there_is_an_example_of_each_class() -> None:
 @each_case("request_", REQUEST_OBJECTS, ids=lambda each: type(each).__name__)
 @each_case("serial", [False, True], ids=["network", "serial line"])
 def test_what_is_denied_is_not_executed(request_: pdu.Request[Any], serial: bool) -> None:
-    requests: list[Asked] = []
+    requests: list[ClientRequest] = []
     tables = Tables(denying(requests))
     log = EventLog(is_serial=serial)
     before = tables.contents()
@@ -85,7 +85,7 @@ def test_what_is_allowed_is_answered_as_ever(example: bytes) -> None:
 @settings(max_examples=100)
 @given(st.binary(min_size=1, max_size=253))
 def test_any_bytes_are_asked_about_once(data: bytes) -> None:
-    requests: list[Asked] = []
+    requests: list[ClientRequest] = []
     answer = TABLES.answered(data, denying(requests))
     is_request = data[0] < 0x80
     assert answer == (bytes([data[0] | 0x80, 1]) if is_request else b"")
@@ -109,7 +109,7 @@ TABLES = _Shared()
 
 def test_all_128_codes_are_asked_about() -> None:
     for function in range(128):
-        requests: list[Asked] = []
+        requests: list[ClientRequest] = []
         assert TABLES.answered(bytes([function]), denying(requests)) == bytes([function | 0x80, 1])
         assert [(asked.function, asked.request) for asked in requests if asked.request is None] in (
             [(function, None)],
@@ -119,7 +119,7 @@ def test_all_128_codes_are_asked_about() -> None:
 
 
 def test_authorize_gets_the_reads_and_writes_of_a_request() -> None:
-    calls: list[Asked] = []
+    calls: list[ClientRequest] = []
     caller = Caller(7, "here", role="Operator")
     Tables(denying(calls)).device.answer(pdu.ReadWriteRegisters(1, 2, 3, (4, 5)).encode(), caller)
     who = 0, 7, "here", "Operator"
@@ -179,7 +179,7 @@ def test_without_permission_every_bad_request_is_answered_1(data: bytes, otherwi
 def test_authorize_is_called_before_hooks() -> None:
     order: list[str] = []
 
-    def authorize(asked: Asked) -> bool:
+    def authorize(asked: ClientRequest) -> bool:
         order.append("authorize")
         return True
 
@@ -229,7 +229,7 @@ def test_on_unauthorized_is_called_for_requests_without_permission_alone() -> No
     assert calls == [1, 1]
 
 
-async def forgotten(asked: Asked) -> bool:
+async def forgotten(asked: ClientRequest) -> bool:
     return True
 
 
@@ -255,7 +255,7 @@ def test_a_mistake_opens_no_door(authorize: Any, caplog: pytest.LogCaptureFixtur
 
 
 def test_authorize_may_refuse_with_another_exception() -> None:
-    def authorize(asked: Asked) -> bool:
+    def authorize(asked: ClientRequest) -> bool:
         raise ServerDeviceBusy
 
     tables = Tables(authorize)
@@ -276,7 +276,7 @@ def test_a_device_that_authorizes_is_never_answered_in_c() -> None:
 def refuse(guard: Authorization, peer: str, role: str | None = "Viewer") -> None:
     access = Access("holding_registers", 100, 10)
     with pytest.raises(UnauthorizedError):
-        guard.check(Asked(role, 17, peer, 16, None, (access,)))
+        guard.check(ClientRequest(role, 17, peer, 16, None, (access,)))
 
 
 def test_the_log_says_who_and_what_once_for_each_role(caplog: pytest.LogCaptureFixture) -> None:

@@ -26,7 +26,7 @@ MODULES = (
 )
 
 RECEIVED = re.compile(
-    r"Statistics$|Error$|^(Access|AuditEvent|Asked|Caller|Extent|FleetFile|Found|HistoricalValue"
+    r"Statistics$|Error$|^(Access|AuditEvent|Caller|ClientRequest|Extent|FleetFile|FoundUnit|HistoricalValue"
     r"|Listener|NamedValue|NoValue|Reading|Running|Scan|Search|Summary|Transaction|ValueChange)$"
 )
 """What a program gets from calls and hooks, and does not make."""

@@ -15,11 +15,11 @@ LINE = re.compile(
 )
 ROW = re.compile(r"\| (\d+)(?:/\d+)? \| [^|]+ \| `([0-9A-F ]+)` \| `([0-9A-F ]+)` \|")
 
-Shown = tuple[str, str, str]  # kind, form, as it is written
+ShownTable = tuple[str, str, str]  # kind, form, as it is written
 
 
-def frames() -> list[Shown]:
-    rows: list[Shown] = []
+def frames() -> list[ShownTable]:
+    rows: list[ShownTable] = []
     for path in sorted(PAGES.glob("*.md")):
         for region in blocks(Document(path.read_text(), str(path))):
             if region.lexemes["language"] == "frame":
@@ -41,12 +41,12 @@ def vector(kind: str, form: str, text: str) -> FrameVector:
 
 
 @each_case("example", frames(), ids=" ".join)
-def test_a_frame_is_a_worked_example(example: Shown) -> None:
+def test_a_frame_is_a_worked_example(example: ShownTable) -> None:
     assert vector(*example)
 
 
 @each_case("example", [each for each in frames() if each[1] != "pdu"], ids=" ".join)
-def test_the_package_makes_the_same_frame(example: Shown) -> None:
+def test_the_package_makes_the_same_frame(example: ShownTable) -> None:
     kind, form, text = example
     row = vector(*example)
     role = "server" if kind == "request" else "client"

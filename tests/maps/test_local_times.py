@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from libmodbus_py import Point
-from libmodbus_py.maps.meaning import Judged
+from libmodbus_py.maps.meaning import DecodedValue
 from libmodbus_py.protocol.words import TimeType
 from tests.support.golden import Refused
 
@@ -34,7 +34,7 @@ def wall(*fields: int) -> list[int]:
 
 def test_a_time_that_clocks_leave_out_is_no_value() -> None:
     point = clock()
-    assert point.judge(wall(2024, 3, 31, 2, 30, 0)) == Judged(None, "bad", "InvalidTime")
+    assert point.judge(wall(2024, 3, 31, 2, 30, 0)) == DecodedValue(None, "bad", "InvalidTime")
     plain = Point("clock", "holding_registers", 0, type="date48")
     assert plain.decode(wall(2024, 3, 31, 2, 30, 0)) == datetime(2024, 3, 31, 2, 30, tzinfo=UTC)
 
@@ -60,7 +60,7 @@ def test_times_in_any_zone_come_back(time: datetime, type: str, zone: str) -> No
 
 def test_values_that_mean_none_are_those_of_the_registers() -> None:
     point = clock("unix32", missing=0)
-    assert point.judge([0, 0]) == Judged(None, "bad", "Missing")
+    assert point.judge([0, 0]) == DecodedValue(None, "bad", "Missing")
     # A device that counts the seconds of its local time.
     assert point.decode([0, 7200]) == datetime(1970, 1, 1, 1, tzinfo=UTC)
 

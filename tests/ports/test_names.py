@@ -13,7 +13,7 @@ import pytest
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.ports.hosts import Resolve, ask
 from libmodbus_py.ports.sockets import TcpPort
-from libmodbus_py.ports.waiting import Steps, Waker, Woken, look_up, run, run_async
+from libmodbus_py.ports.waiting import Steps, WaitInterrupted, Waker, look_up, run, run_async
 from tests.support.peers import until
 
 FOUND = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("192.0.2.1", 502))]
@@ -165,7 +165,7 @@ def test_a_blocking_client_that_looks_up_a_name_can_be_woken(resolver: Resolver,
 
     waking = threading.Thread(target=wake)
     waking.start()
-    with pytest.raises(Woken):
+    with pytest.raises(WaitInterrupted):
         run(resolving("stuck"), waker)
     waking.join()
 

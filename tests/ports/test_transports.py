@@ -11,7 +11,7 @@ from libmodbus_py.cli.arguments import SCHEMES_OF_URLS, URLS
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.port import abandoned_in_children, port_class
 from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS, Scheme, Transport, shape_of
-from libmodbus_py.ports.trace import Traced
+from libmodbus_py.ports.trace import TracedFrame
 from tests.support.cases import each_case
 from tests.support.certificates import Pki
 from tests.support.driver import ascii_frame, rtu
@@ -87,9 +87,9 @@ ADUS: dict[str, bytes] = {
 WITH_IDS = [scheme for scheme, adu in ADUS.items() if adu == MBAP]
 
 
-def traced(scheme: str, adu: bytes, unit: int | None, function: int | None) -> Traced:
+def traced(scheme: str, adu: bytes, unit: int | None, function: int | None) -> TracedFrame:
     url = url_for(scheme, "[::1]:502", line="/dev/ttyS0?baudrate=9600")
-    return Traced(0.0, url, "received", adu, unit, function)
+    return TracedFrame(0.0, url, "received", adu, unit, function)
 
 
 @each_case(("scheme", "adu"), ADUS.items())
@@ -118,14 +118,14 @@ def test_bytes_that_are_no_frame_have_neither(scheme: str) -> None:
 
 
 def test_a_traced_frame_is_a_tuple_of_seven() -> None:
-    each = Traced(1.5, "tcp://h:502", "sent", MBAP, 17, 3, "192.0.2.7:51234")
+    each = TracedFrame(1.5, "tcp://h:502", "sent", MBAP, 17, 3, "192.0.2.7:51234")
     assert tuple(each) == (1.5, "tcp://h:502", "sent", MBAP, 17, 3, "192.0.2.7:51234")
     assert str(each) == f"tcp://h:502 192.0.2.7:51234 > unit 17, function 3: {MBAP.hex(' ')}"
 
 
 def test_an_unknown_scheme_is_refused() -> None:
     with pytest.raises(KeyError, match="http"):
-        _ = Traced(0.0, "http://h", "sent", MBAP, 17, 3).pdu
+        _ = TracedFrame(0.0, "http://h", "sent", MBAP, 17, 3).pdu
 
 
 pytestmark = [

@@ -21,8 +21,8 @@ from libmodbus_py.ports.waiting import (
     WRITE,
     Ready,
     Steps,
+    WaitInterrupted,
     Waker,
-    Woken,
     milliseconds,
     run,
     run_async,
@@ -235,7 +235,7 @@ def woken_after(waker: Waker, condition: Callable[[], object] = lambda: True) ->
     thread = threading.Thread(target=wake)
     before, start = descriptors(), time.monotonic()
     thread.start()
-    with pytest.raises(Woken):
+    with pytest.raises(WaitInterrupted):
         yield
     assert time.monotonic() - start < BEFORE_ANY_DEADLINE
     thread.join()
@@ -259,7 +259,7 @@ def test_a_cleared_waker_wakes_no_more(waker: Waker) -> None:
     waker.clear()
     assert not waker.wait(-1, READ, time.monotonic() + 0.01)
     waker.wake()
-    with pytest.raises(Woken):
+    with pytest.raises(WaitInterrupted):
         waker.wait(-1, READ, time.monotonic() + 10)
     waker.close()
     waker.clear()
@@ -269,7 +269,7 @@ def test_a_waker_woken_before_a_wait_ends_it_at_once(waker: Waker) -> None:
     waker.wake()
     waker.wake()
     for _ in range(2):
-        with pytest.raises(Woken):
+        with pytest.raises(WaitInterrupted):
             waker.wait(-1, READ, soon(10))
 
 

@@ -15,11 +15,11 @@ from libmodbus_py.device.authorization import Authorization
 from libmodbus_py.listen import Separator
 from libmodbus_py.protocol.checks import checked_callback, finished, log_failure
 from libmodbus_py.scan import scan, search
-from libmodbus_py.services.fleet.outputs.pump import Pump
+from libmodbus_py.services.fleet.outputs.writer import OutputWriter
 from libmodbus_py.tools.listener.listener import logger as listeners
 from tests.services.fleet.fleets import simulated_run
 from tests.support.cases import each_case
-from tests.support.outputs import FakeOutput, pump_all, reading
+from tests.support.outputs import FakeOutput, reading, write_readings
 
 URL = "tcp://127.0.0.1:1"
 
@@ -202,8 +202,10 @@ def test_every_logger_of_a_module_is_harmless() -> None:
 @pytest.mark.usefixtures("failing")
 def test_an_output_that_reports_a_failure_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
     output = FakeOutput(refused=("b",))
-    pump: Pump = simulated_run(pump_all(output, [reading(device, "one") for device in "abc"]))
-    assert (pump.statistics.written, pump.statistics.dropped) == (2, 1)
+    writer: OutputWriter = simulated_run(
+        write_readings(output, [reading(device, "one") for device in "abc"])
+    )
+    assert (writer.statistics.written, writer.statistics.dropped) == (2, 1)
     assert "the disk is full" in capsys.readouterr().err
 
 

@@ -4,12 +4,12 @@ bursts and damage.
 """
 
 from libmodbus_py.protocol.errors import FrameError
-from libmodbus_py.protocol.framing import Frame, Overheard, RtuFramer
+from libmodbus_py.protocol.framing import Frame, OverheardResponse, RtuFramer
 from tests.support.cases import each_case
 from tests.support.driver import rtu
 from tests.support.vectors import REQUESTS, RESPONSES, FrameVector, rows
 
-Found = list[Frame | FrameError]
+FoundUnit = list[Frame | FrameError]
 
 WRITE = rtu("01 06 0001 0003")
 READ = rtu("01 03 0000 0001")
@@ -23,10 +23,10 @@ def framer_of(*units: int) -> RtuFramer:
     return framer
 
 
-def heard(*bursts: bytes, size: int = 999, unit: int = 1) -> Found:
+def heard(*bursts: bytes, size: int = 999, unit: int = 1) -> FoundUnit:
     """Everything that a unit finds in bursts, which come in pieces and end with silence."""
     framer = framer_of(unit)
-    results: Found = []
+    results: FoundUnit = []
     for burst in bursts:
         for at in range(0, len(burst), size):
             results += framer.scan(burst[at : at + size])
@@ -34,7 +34,7 @@ def heard(*bursts: bytes, size: int = 999, unit: int = 1) -> Found:
     return results
 
 
-def requests(results: Found, unit: int = 1) -> list[Frame]:
+def requests(results: FoundUnit, unit: int = 1) -> list[Frame]:
     return [each for each in results if type(each) is Frame and each.unit == unit]
 
 
@@ -96,7 +96,7 @@ def test_a_refusal_of_others_behind_a_request_is_one_frame() -> None:
     others = rtu("02 C1 11 22 33 44")
     for size in (1, 999):
         results = heard(READ + others, size=size)
-        assert results == [ASKED, Overheard(2, others[1:-2])]
+        assert results == [ASKED, OverheardResponse(2, others[1:-2])]
 
 
 def test_where_a_frame_without_a_length_ends_is_not_guessed() -> None:
@@ -121,7 +121,7 @@ def test_an_awaited_answer_is_longer_than_the_request_that_its_first_bytes_are()
     for size in (1, 8, 9, 999):
         results = heard(rtu("02 03 0000 000A"), answer, size=size)
         assert requests(results) == []
-        assert results[-1] == Overheard(2, answer[1:-2])
+        assert results[-1] == OverheardResponse(2, answer[1:-2])
         # Nor if its request was not heard.
         assert requests(heard(answer, size=size)) == []
 
@@ -231,7 +231,7 @@ def test_answers_of_others_are_no_damage(vector: FrameVector) -> None:
 def test_answers_of_others_are_given_by_scan_alone() -> None:
     ask, answer = AROUND["an answer to a read"]
     framer = framer_of(1)
-    assert framer.scan(ask + answer) == [Frame(2, ask[1:-2]), Overheard(2, answer[1:-2])]
+    assert framer.scan(ask + answer) == [Frame(2, ask[1:-2]), OverheardResponse(2, answer[1:-2])]
     assert framer.feed(ask + answer + READ) == [Frame(2, ask[1:-2]), ASKED]
 
 
@@ -244,7 +244,7 @@ def test_a_request_that_is_repeated_to_a_silent_unit_is_not_taken_for_its_answer
 def test_after_another_request_an_answer_is_awaited_no_more() -> None:
     """A write and its answer are the same bytes: what was heard before tells which it is."""
     write = rtu("02 06 0001 0003")
-    request, answer = Frame(2, write[1:-2]), Overheard(2, write[1:-2])
+    request, answer = Frame(2, write[1:-2]), OverheardResponse(2, write[1:-2])
     assert heard(write, write) == [request, answer]
     assert heard(write, write, write) == [request, answer, request]
     assert heard(write, READ, write) == [request, ASKED, request]
@@ -260,14 +260,14 @@ OTHERS, REFUSAL = rtu("02 06 0001 0003"), rtu("02 86 02")
 STRANGE = rtu("02 C1 01 02 03 04")
 
 
-def named(results: Found) -> list[str]:
+def named(results: FoundUnit) -> list[str]:
     return [_name(each) for each in results]
 
 
 def _name(each: Frame | FrameError) -> str:
     if isinstance(each, FrameError):
         return "damage"
-    kind = "answer" if isinstance(each, Overheard) else "request"
+    kind = "answer" if isinstance(each, OverheardResponse) else "request"
     return f"{kind} {each.unit} {each.pdu[0]:02X}"
 
 

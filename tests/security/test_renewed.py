@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py.security.security import Renewed, reload_all
+from libmodbus_py.security.security import RenewedValue, reload_all
 from libmodbus_py.services.engine.connection import EngineError, FileText, _identity, _trust
 from libmodbus_py.services.fleet.files import load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
@@ -47,7 +47,7 @@ def ca(pki: Pki) -> Path:
 def test_a_value_is_the_former_until_the_file_is_good_again(tmp_path, caplog) -> None:
     path = tmp_path / "number"
     path.write_text("1")
-    renewed = Renewed(lambda: int(path.read_text()))
+    renewed = RenewedValue(lambda: int(path.read_text()))
     path.write_text("2")
     assert renewed.value == 1
     reload_all()

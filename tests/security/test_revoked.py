@@ -11,7 +11,7 @@ import pytest
 
 from libmodbus_py import Security
 from libmodbus_py.security import security as security_module
-from libmodbus_py.security.files import PemFile, Revoked
+from libmodbus_py.security.files import PemFile, RevocationLists
 from libmodbus_py.security.security import reload_all
 from tests.support import certificates
 from tests.support.cases import each_case
@@ -36,7 +36,7 @@ def crl(path: Path, content: bytes) -> PemFile:
 
 def test_a_list_tells_which_certificates_are_revoked(tmp_path: Path) -> None:
     one, other = certificates.client(), certificates.server()
-    revoked = Revoked(crl(tmp_path / "crl", certificates.revocation_list(one)))
+    revoked = RevocationLists(crl(tmp_path / "crl", certificates.revocation_list(one)))
     assert revoked.any_of([one.der])
     assert revoked.any_of([other.der, one.der])
     assert not revoked.any_of([other.der])
@@ -46,7 +46,7 @@ def test_a_number_is_revoked_for_its_own_authority_only(tmp_path: Path) -> None:
     """Two authorities may give one number to two certificates (RFC 5280, 5.3)."""
     lower = certificates.intermediate()
     listed = certificates.revocation_list(certificates.client(), issuer=lower)
-    assert not Revoked(crl(tmp_path / "crl", listed)).any_of([certificates.client().der])
+    assert not RevocationLists(crl(tmp_path / "crl", listed)).any_of([certificates.client().der])
 
 
 def test_a_file_may_have_several_lists_and_ends_with_the_first_of_them(tmp_path: Path) -> None:
@@ -55,10 +55,10 @@ def test_a_file_may_have_several_lists_and_ends_with_the_first_of_them(tmp_path:
     both = certificates.revocation_list(one, days=20) + certificates.revocation_list(
         two, issuer=lower, days=10
     )
-    revoked = Revoked(crl(tmp_path / "crl", both))
+    revoked = RevocationLists(crl(tmp_path / "crl", both))
     assert revoked.any_of([one.der])
     assert revoked.any_of([two.der])
-    sooner = Revoked(
+    sooner = RevocationLists(
         crl(tmp_path / "one", certificates.revocation_list(two, issuer=lower, days=10))
     )
     assert revoked.ends is not None

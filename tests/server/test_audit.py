@@ -33,7 +33,7 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.serve import Allow, Asked, Audit, AuditEvent, AuditFile
+from libmodbus_py.serve import Allow, Audit, AuditEvent, AuditFile, ClientRequest
 from libmodbus_py.server import audit
 from tests.support import certificates
 from tests.support.cases import each_case
@@ -132,7 +132,7 @@ def test_a_write_that_fails_and_one_that_is_not_allowed_are_recorded(events: Eve
 def test_only_what_authorize_does_not_allow_is_recorded_as_refused(transport, events: Events):
     """Others get exception 1, too; and a status of 1 looks like one (section 6.7)."""
 
-    def authorize(asked: Asked) -> bool:
+    def authorize(asked: ClientRequest) -> bool:
         if asked.function == 4:
             raise ServerDeviceBusy
         if asked.function == 2:

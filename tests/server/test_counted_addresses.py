@@ -12,7 +12,7 @@ from libmodbus_py.server.limits import (
     Address,
     Addresses,
     Limits,
-    Paused,
+    PausedConnection,
     ServerStatistics,
     counted_host,
     host_of,
@@ -44,7 +44,7 @@ def test_an_ipv6_address_counts_as_its_64(host: str, network: str) -> None:
 
 
 async def test_all_addresses_of_a_64_share_an_allowance() -> None:
-    addresses: Addresses[Paused] = Addresses(2.0)
+    addresses: Addresses[PausedConnection] = Addresses(2.0)
     for last in range(3):
         address = addresses.get(f"2001:db8::{last}")
         addresses.keep(address)

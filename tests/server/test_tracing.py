@@ -28,7 +28,7 @@ from libmodbus_py import (
     Route,
     Server,
     ServerDeviceFailure,
-    Traced,
+    TracedFrame,
 )
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.lan import Lan
@@ -49,7 +49,7 @@ def made_device(**options: Any) -> Device:
 
 @contextmanager
 def connected(
-    trace: Callable[[Traced], object] | None, url: str = "tcp://127.0.0.1:0", **options: Any
+    trace: Callable[[TracedFrame], object] | None, url: str = "tcp://127.0.0.1:0", **options: Any
 ) -> Iterator[tuple[socket.socket, str]]:
     """A server of unit 17, a connection to it, and its URL."""
     units = options.pop("units", None) or {17: made_device()}
@@ -60,7 +60,7 @@ def connected(
         yield one, running.urls[0]
 
 
-def said(frames: list[Traced]) -> list[tuple[str, bytes]]:
+def said(frames: list[TracedFrame]) -> list[tuple[str, bytes]]:
     return [(each.direction, each.adu) for each in frames]
 
 
@@ -74,7 +74,7 @@ FRAMED: dict[str, Callable[[str], bytes]] = {
 
 @pytest.mark.parametrize("scheme", FRAMED)
 def test_frames_are_traced_as_they_are_on_the_wire(scheme: str) -> None:
-    frames: list[Traced] = []
+    frames: list[TracedFrame] = []
     frame = FRAMED[scheme]
     request, answer = frame("11 03 0000 0002"), frame("11 03 04 0007 0008")
     beyond, refusal = frame("11 03 FFFF 0001"), frame("11 83 02")
@@ -98,7 +98,7 @@ def test_frames_are_traced_as_they_are_on_the_wire(scheme: str) -> None:
 
 @pytest.mark.parametrize("scheme", ["rtu", "ascii"])
 def test_a_serial_port_is_traced_with_its_name(scheme: str) -> None:
-    frames: list[Traced] = []
+    frames: list[TracedFrame] = []
     with SerialWire() as wire:
         url = f"{scheme}://{wire.server}?baudrate=115200"
         client = Client(f"{scheme}://{wire.client}?baudrate=115200", unit=17)
@@ -111,7 +111,7 @@ def test_a_serial_port_is_traced_with_its_name(scheme: str) -> None:
 
 
 def test_a_trace_of_tls_shows_plain_frames(pki: Pki) -> None:
-    frames: list[Traced] = []
+    frames: list[TracedFrame] = []
     server = Server({17: made_device()}, trace=frames.append)
     with secured(server, pki) as url, Client(url, unit=17) as plc:
         assert plc.read_holding_registers(0, 2) == [7, 8]
@@ -120,7 +120,7 @@ def test_a_trace_of_tls_shows_plain_frames(pki: Pki) -> None:
 
 @pytest.mark.parametrize("faults", [{}, {17: [Fault("delay", seconds=0.001, every=10**6)]}])
 def test_requests_in_one_chunk_are_traced_one_by_one(faults: dict[int, list[Fault]]) -> None:
-    frames: list[Traced] = []
+    frames: list[TracedFrame] = []
     with connected(frames.append, faults=faults) as (one, url), connect(url) as slow:
         ask(one, READ * 40, ANSWER * 40)
         for at in range(len(READ)):
@@ -148,7 +148,7 @@ SPOILT = [
 
 @each_case(("fault", "spoilt"), SPOILT)
 def test_a_spoilt_answer_is_traced_as_sent_and_the_next_one_whole(fault, spoilt) -> None:
-    frames: list[Traced] = []
+    frames: list[TracedFrame] = []
     with connected(frames.append, faults={17: [fault]}) as (one, _):
         ask(one, READ, ANSWER)
         ask(one, READ, b"".join(adu for adu, _ in spoilt))
@@ -159,7 +159,7 @@ def test_a_spoilt_answer_is_traced_as_sent_and_the_next_one_whole(fault, spoilt)
 
 
 def test_a_delayed_answer_is_traced_when_it_is_sent(lan: Lan) -> None:
-    frames: list[Traced] = []
+    frames: list[TracedFrame] = []
     server = Server(
         {17: made_device()}, faults={17: [Fault("delay", seconds=10)]}, trace=frames.append
     )
@@ -183,7 +183,7 @@ def test_a_delayed_answer_is_traced_when_it_is_sent(lan: Lan) -> None:
     ],
 )
 def test_bytes_that_are_no_frame_are_traced(scheme: str, noise: bytes) -> None:
-    frames: list[Traced] = []
+    frames: list[TracedFrame] = []
     with connected(frames.append, f"{scheme}://127.0.0.1:0") as (connection, _):
         connection.sendall(noise)
         if scheme != "udp":
@@ -193,7 +193,7 @@ def test_bytes_that_are_no_frame_are_traced(scheme: str, noise: bytes) -> None:
 
 
 def test_silence_ends_what_began_on_a_line() -> None:
-    frames: list[Traced] = []
+    frames: list[TracedFrame] = []
     with connected(frames.append, "ascii+tcp://127.0.0.1:0") as (one, _):
         one.sendall(b":1103")
         until(lambda: frames)  # a second
@@ -203,7 +203,7 @@ def test_silence_ends_what_began_on_a_line() -> None:
 
 
 def test_another_end_of_ascii_frames_is_followed() -> None:
-    frames: list[Traced] = []
+    frames: list[TracedFrame] = []
     change, restart = ascii_frame("11 08 0003 3B00"), ascii_frame("11 08 0001 0000")
     read, answer = ascii_frame("11 03 0000 0002"), ascii_frame("11 03 04 0007 0008")
     with connected(frames.append, "ascii+tcp://127.0.0.1:0") as (one, _):
@@ -216,7 +216,7 @@ def test_another_end_of_ascii_frames_is_followed() -> None:
 
 
 def test_a_gateway_tells_what_its_clients_say() -> None:
-    frames: list[Traced] = []
+    frames: list[TracedFrame] = []
     with Server({5: made_device()}).background("tcp://127.0.0.1:0") as behind:
         gateway = Gateway([Route(behind.urls[0], "17", 5)], trace=frames.append)
         with gateway.background("tcp://127.0.0.1:0") as running, connect(running.urls[0]) as one:
@@ -241,8 +241,8 @@ def test_the_logger_has_the_same(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_tracing_begins_and_ends_while_the_server_runs() -> None:
-    first: list[Traced] = []
-    second: list[Traced] = []
+    first: list[TracedFrame] = []
+    second: list[TracedFrame] = []
     server = Server({17: made_device()})
     with (
         server.tracing(first.append),
@@ -261,7 +261,7 @@ def test_tracing_begins_and_ends_while_the_server_runs() -> None:
 
 @pytest.mark.parametrize("error", [ValueError("mine"), GeneratorExit(), ModbusError("no")])
 def test_a_trace_that_fails_costs_no_answer_and_is_logged_once(error, caplog) -> None:
-    def broken(frame: Traced) -> None:
+    def broken(frame: TracedFrame) -> None:
         raise error
 
     with connected(broken) as (_, url):
@@ -274,7 +274,7 @@ def test_a_trace_that_fails_costs_no_answer_and_is_logged_once(error, caplog) ->
 @pytest.mark.parametrize("direction", ["received", "sent"])
 @pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
 def test_a_trace_that_ends_the_program_does_after_the_answers(error, direction) -> None:
-    def ending(frame: Traced) -> None:
+    def ending(frame: TracedFrame) -> None:
         if frame.direction == direction:
             raise error("enough")
 
@@ -288,7 +288,7 @@ def test_a_trace_that_ends_the_program_does_after_the_answers(error, direction) 
 
 
 def test_a_slow_trace_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
-    def slow(frame: Traced) -> None:
+    def slow(frame: TracedFrame) -> None:
         time.sleep(0.11)
 
     with connected(slow) as (one, _):
@@ -301,7 +301,7 @@ def test_a_trace_may_close_the_server(scheme: str) -> None:
     end = threading.Event()
     stack = ExitStack()
 
-    def closing(frame: Traced) -> None:
+    def closing(frame: TracedFrame) -> None:
         stack.close()
         end.set()
 
@@ -318,7 +318,7 @@ def test_a_trace_may_close_the_server(scheme: str) -> None:
 
 def test_a_flood_takes_no_memory() -> None:
     """The server keeps nothing of what it passes to the callback."""
-    latest: deque[Traced] = deque(maxlen=10)
+    latest: deque[TracedFrame] = deque(maxlen=10)
     with connected(latest.append) as (one, _):
         ask(one, READ * 100, ANSWER * 100)
         tracemalloc.start()
@@ -333,7 +333,7 @@ def test_a_flood_takes_no_memory() -> None:
 
 def test_answers_of_hooks_and_of_c_are_traced() -> None:
     """One unit is answered in C, the other by a hook's way."""
-    frames: list[Traced] = []
+    frames: list[TracedFrame] = []
     units = {17: made_device(), 18: made_device(before_read=Hook(lambda access: None))}
     with connected(frames.append, units=units) as (one, _):
         ask(one, READ, ANSWER)

@@ -10,7 +10,7 @@ import pytest
 
 from fuzz.checks import REQUEST_OBJECTS, examples
 from libmodbus_py import Allow, Client, Device, Fault, IllegalFunction, Mapping, Rules, Server, pdu
-from libmodbus_py.serve import Asked
+from libmodbus_py.serve import ClientRequest
 from tests.support import transports
 from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_ONE, adu, connect, receive
 from tests.support.certificates import Pki, client
@@ -30,9 +30,9 @@ def guarded(authorize: Any) -> Device:
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
 def test_unauthorized_requests_are_not_executed(transport: str) -> None:
-    requests: list[Asked] = []
+    requests: list[ClientRequest] = []
 
-    def authorize(asked: Asked) -> bool:
+    def authorize(asked: ClientRequest) -> bool:
         requests.append(asked)
         return False
 
@@ -76,7 +76,7 @@ def test_unauthorized_requests_are_refused_alone_and_in_chunks(many: int) -> Non
 
 def test_faults_refuse_without_asking() -> None:
     """A fault answers instead of the device: nothing is done, so nothing needs to be allowed."""
-    requests: list[Asked] = []
+    requests: list[ClientRequest] = []
     server = Server({1: guarded(requests.append)}, faults={1: [Fault("exception", code=6)]})
     with (
         server.background("tcp://127.0.0.1:0") as running,
@@ -160,7 +160,7 @@ def test_roles_of_one_turn_are_kept_apart(pki: Pki) -> None:
     """Requests that come alone are answered together."""
     is_blocked, goes_on = threading.Event(), threading.Event()
 
-    def authorize(asked: Asked) -> bool:
+    def authorize(asked: ClientRequest) -> bool:
         if asked.function == 17:
             is_blocked.set()
             assert goes_on.wait(PATIENCE)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import pytest
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.outputs.pump import Pump
+from libmodbus_py.services.fleet.outputs.writer import OutputWriter
 from libmodbus_py.services.tasks import AGAIN, FINISHING_S
 from tests.simulation.runner import simulated
 from tests.support.outputs import FakeOutput, reading
@@ -34,24 +34,24 @@ class Careless(FakeOutput):
 
 @simulated
 async def test_an_output_that_loses_cancellations_ends_with_the_fleet() -> None:
-    pump = Pump(Careless(2))
-    pump.buffer.put_readings([reading("a", "one")])
-    pump.start()
+    writer = OutputWriter(Careless(2))
+    writer.buffer.put_readings([reading("a", "one")])
+    writer.start()
     await asyncio.sleep(1)
-    pump.close_pump()
+    writer.close_writer()
     before = asyncio.get_running_loop().time()
     with pytest.raises(asyncio.CancelledError):
-        await pump.task
+        await writer.task
     assert asyncio.get_running_loop().time() - before == FINISHING_S + 2 * AGAIN
 
 
 @simulated
-async def test_a_cancellation_is_not_lost_while_a_pump_rests() -> None:
-    pump = Pump(FakeOutput(refused=("a",), error=OSError("away")))
-    pump.buffer.put_readings([reading("a", "one")])
-    pump.start()
+async def test_a_cancellation_is_not_lost_while_a_writer_rests() -> None:
+    writer = OutputWriter(FakeOutput(refused=("a",), error=OSError("away")))
+    writer.buffer.put_readings([reading("a", "one")])
+    writer.start()
     await asyncio.sleep(0.1)
-    pump.close_pump(is_patient=True)
-    pump.task.cancel()
-    await asyncio.wait([pump.task])
-    assert pump.task.cancelled()
+    writer.close_writer(is_patient=True)
+    writer.task.cancel()
+    await asyncio.wait([writer.task])
+    assert writer.task.cancelled()

@@ -44,14 +44,14 @@ class Behaviour:
     drop: float = 0.0  # the connection, in place of an answer
 
 
-Executed = Callable[[int, bytes], object]  # told that a unit carries out a request PDU, now
+ExecutedRequest = Callable[[int, bytes], object]  # told that a unit carries out a request PDU, now
 
 
 class Unit:
     """One unit."""
 
     def __init__(
-        self, number: int, behaviour: Behaviour, events: Events, executed: Executed
+        self, number: int, behaviour: Behaviour, events: Events, executed: ExecutedRequest
     ) -> None:
         self.number: int = number
         self.behaviour: Behaviour = behaviour

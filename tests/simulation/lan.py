@@ -18,7 +18,7 @@ from typing import Any, Self, TypeVar
 from unittest.mock import patch
 
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.ports.waiting import Woken
+from libmodbus_py.ports.waiting import WaitInterrupted
 from libmodbus_py.server import limits
 from libmodbus_py.server.serving import Serving
 from libmodbus_py.services.gateway import gateway, routes
@@ -152,7 +152,7 @@ class _LanWaker(MemoryWaker):
     def _wait(self, descriptor: int, events: int, most: int) -> bool:
         self._lan.until(lambda: self._is_woken or self._is_any(descriptor, events), most / 1000)
         if self._is_woken:
-            raise Woken
+            raise WaitInterrupted
         return self._is_any(descriptor, events)
 
     def _sleep(self, seconds: float) -> None:

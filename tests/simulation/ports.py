@@ -14,7 +14,15 @@ from typing import Any, cast
 
 from libmodbus_py.ports.port import port_class
 from libmodbus_py.ports.schemes import Transport
-from libmodbus_py.ports.waiting import READ, WRITE, Ready, Steps, Waker, Woken, milliseconds
+from libmodbus_py.ports.waiting import (
+    READ,
+    WRITE,
+    Ready,
+    Steps,
+    WaitInterrupted,
+    Waker,
+    milliseconds,
+)
 from libmodbus_py.protocol.errors import ModbusConnectionError
 
 from .events import Events
@@ -67,7 +75,7 @@ class MemoryWaker(Waker):
             if self._events.now >= until:
                 return False
             self._events.advance(until)
-        raise Woken
+        raise WaitInterrupted
 
     def _is_any(self, descriptor: int, events: int) -> bool:
         can_read = events & READ and descriptor in self._descriptors.readable

@@ -1,4 +1,4 @@
-"""Outputs that a pump writes to, or a test directly, and one that takes what it likes."""
+"""Outputs that a writer writes to, or a test directly, and one that takes what it likes."""
 
 import asyncio
 from collections.abc import AsyncIterator, Sequence
@@ -7,7 +7,7 @@ from typing import Any
 
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.output import Output
-from libmodbus_py.services.fleet.outputs.pump import Pump
+from libmodbus_py.services.fleet.outputs.writer import OutputWriter
 from libmodbus_py.services.fleet.readings import MOST_KEPT
 
 
@@ -78,22 +78,22 @@ class FakeOutput(Output):
 
 
 @asynccontextmanager
-async def pumping(output: Output) -> AsyncIterator[Pump]:
-    """Write what is put into the buffer of a pump, also at the end of the block."""
-    pump = Pump(output)
-    pump.start()
-    yield pump
-    pump.close_pump()
-    await pump.task
+async def output_writer(output: Output) -> AsyncIterator[OutputWriter]:
+    """Write what is put into the buffer of a writer, also at the end of the block."""
+    writer = OutputWriter(output)
+    writer.start()
+    yield writer
+    writer.close_writer()
+    await writer.task
 
 
-async def pump_all(output: Output, readings: Sequence[Reading]) -> Pump:
+async def write_readings(output: Output, readings: Sequence[Reading]) -> OutputWriter:
     """Write readings until each was written or dropped, in simulated time."""
-    async with pumping(output) as pump:
-        pump.buffer.put_readings(readings)
-        while pump.statistics.written + pump.statistics.dropped < len(readings):
+    async with output_writer(output) as writer:
+        writer.buffer.put_readings(readings)
+        while writer.statistics.written + writer.statistics.dropped < len(readings):
             await asyncio.sleep(0.01)
-    return pump
+    return writer
 
 
 async def write(output: Output, *polls: Sequence[Reading]) -> None:

@@ -28,11 +28,11 @@ from libmodbus_py import (
     Security,
     Server,
     State,
-    Traced,
+    TracedFrame,
     load_map,
     pdu,
 )
-from libmodbus_py.bound import Unreadable
+from libmodbus_py.bound import UnreadableItem
 from libmodbus_py.listen import Separator, Transaction, listen
 from libmodbus_py.maps.items import NamedValues, Values
 from libmodbus_py.maps.watched import PolledValues
@@ -74,7 +74,7 @@ def told(state: State, error: ModbusError | None) -> None:
     assert_type(error.endpoint if error else "", str)
 
 
-def traced(each: Traced) -> None:
+def traced(each: TracedFrame) -> None:
     assert_type(each.adu, bytes)
     assert_type(each.unit, int | None)
 
@@ -203,8 +203,8 @@ def named(plc: Client) -> None:
     assert_type(plc.read_map(meter), dict[str, Any])
     tolerant = plc.read_map(meter, ["level"], return_exceptions=True, gap=4)
     assert_type(tolerant.failed, dict[str, ModbusError])
-    assert_type(plc.unreadable(meter), list[Unreadable])
-    assert_type(plc.unreadable(meter.plan(["level"])), list[Unreadable])
+    assert_type(plc.unreadable(meter), list[UnreadableItem])
+    assert_type(plc.unreadable(meter.plan(["level"])), list[UnreadableItem])
     plc.write_map(meter, {"setpoint": 21.5, "run": True}, multiple=True)
     map_ = RegisterMap([Point("level", "holding_registers", 100, type="float32", scale=0.1)])
     assert_type(plc.read_many(map_.plan(["level"])), Any)

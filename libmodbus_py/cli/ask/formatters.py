@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from ...protocol.errors import ModbusError
 from ...protocol.plain import SHORT_FLOATS, clock_text, plain, shortest, text_of, time_text
-from ..output import Redrawn, print_csv, print_json
+from ..output import RedrawnLines, print_csv, print_json
 from .items import ALL, HEX, REGISTERS, Item, reason_of
 from .units import fail
 
@@ -384,7 +384,7 @@ class TerminalTable:
         self._texts: dict[int, list[str]] = {}
         self._rounds = self._failed = 0
         self._last_failure = ""
-        self._redrawn = Redrawn(screen)
+        self._redrawn = RedrawnLines(screen)
 
     def print(self, unit: int, results: Sequence[ReadResult], reason: str) -> None:
         failures = [reason] if reason else [each.failure for each in results if each.failure]

@@ -15,7 +15,7 @@ from .items import Item
 
 
 class ShownWatch:
-    """See `Shown` of the page; polls of a unit are `every` seconds apart."""
+    """See `ShownTable` of the page; polls of a unit are `every` seconds apart."""
 
     kind = "watch"
     log: Log | None = None

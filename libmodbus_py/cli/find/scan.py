@@ -21,7 +21,7 @@ from ...protocol.errors import ModbusConnectionError
 from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.tables import joined
 from ...tools.scan import probe
-from ...tools.scan.scan import Found, Progress, Scan, scan
+from ...tools.scan.scan import FoundUnit, Progress, Scan, scan
 from ...tools.scan.search import MOST_REQUESTS, Extent, Searching, search
 from .. import arguments
 from ..arguments import with_options
@@ -205,7 +205,7 @@ class _Report:
     """The units found so far: printed at once, or in the end as JSON."""
 
     def __init__(self, options: argparse.Namespace) -> None:
-        self.found: list[Found] = []
+        self.found: list[FoundUnit] = []
         self.notes: list[str] = []
         self.tried: dict[str, list[int]] = {}
         self.hosts: int = 0
@@ -226,11 +226,11 @@ class _Report:
         self._has_begun = True  # after the estimate: wrong usage is refused before
         print(text, file=sys.stderr, flush=True)
 
-    def add(self, found: Found, place: str) -> None:
+    def add(self, found: FoundUnit, place: str) -> None:
         self.found.append(found)
         self._print(f"{self._mark}{place}{_line(found)}")
 
-    def deepen(self, found: Found, extents: list[Extent], requests: int) -> None:
+    def deepen(self, found: FoundUnit, extents: list[Extent], requests: int) -> None:
         self._extents[found.url] = extents
         self._print(_toml(found, extents, requests, has_values=self._has_values))
 
@@ -267,7 +267,7 @@ class _Report:
             print(text, flush=True)
 
 
-def _line(found: Found) -> str:
+def _line(found: FoundUnit) -> str:
     what = "" if found.exception is None else f", exception {found.exception}"
     late = ", late" * found.is_late
     who = "any unit" if found.is_any else f"unit {found.unit}"
@@ -280,7 +280,7 @@ def _line(found: Found) -> str:
     return "; ".join(part for part in parts if part)
 
 
-def _at(found: Found) -> str:
+def _at(found: FoundUnit) -> str:
     """Return the setting at which a unit was found, such as " at 9600 8E1"; "" on networks."""
     if found.baudrate is None:
         return ""
@@ -305,7 +305,7 @@ def _safe(data: bytes) -> str:
     return shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}..."
 
 
-def _toml(found: Found, extents: list[Extent], requests: int, *, has_values: bool) -> str:
+def _toml(found: FoundUnit, extents: list[Extent], requests: int, *, has_values: bool) -> str:
     """Return the tables of a unit, as a device file describes them."""
     lines = [f"\n# unit {found.unit}{_at(found)}: {requests} requests"]
     lines += [f"# {extent.table}: {text}" for extent in extents if (text := missing(extent))]
@@ -320,7 +320,7 @@ def _toml(found: Found, extents: list[Extent], requests: int, *, has_values: boo
     return "\n".join(lines)
 
 
-def _plain(found: Found, extents: list[Extent] | None, *, has_values: bool) -> dict[str, Any]:
+def _plain(found: FoundUnit, extents: list[Extent] | None, *, has_values: bool) -> dict[str, Any]:
     # fmt: off
     names = (
         "unit", "url", "baudrate", "parity", "data_bits", "stop_bits", "took", "exception",

@@ -201,7 +201,7 @@ async def _opened(
     """Return the bucket; if it does not exist, make it with the devices of the file."""
     try:
         bucket = await _answered(lambda: open_bucket(client, BUCKET))
-    except engine.NothingThere:
+    except engine.NoBucket:
         await _answered(lambda: _pushed(client, settings, connections))
         logger.warning("the engine had no fleet; the devices of the file were written to it")
         bucket = await _answered(lambda: open_bucket(client, BUCKET))

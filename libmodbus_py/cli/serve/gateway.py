@@ -24,7 +24,7 @@ from . import over_http
 from .running import add_audit, add_limits, starting
 
 if TYPE_CHECKING:
-    from ...tools.page.table_source import Shown
+    from ...tools.page.table_source import ShownTable
 
 OPTIONS = ("own_units", "queue", "longest_wait", "writes_first")
 """Arguments of `Gateway` that a gateway file contains too."""
@@ -116,7 +116,7 @@ def _gateway(options: argparse.Namespace) -> int:
         if file is not None:
             command.files.insert(0, partial(_read_again, gateway, str(options.config), file))
 
-        def make_shown() -> Shown:
+        def make_shown() -> ShownTable:
             from ...services.gateway.shown_gateway import ShownGateway
 
             page = ShownGateway(options.config or ", ".join(options.urls), gateway)

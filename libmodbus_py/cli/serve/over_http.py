@@ -17,7 +17,7 @@ from ..parser import Group, Parser, declare
 if TYPE_CHECKING:
     from ...server.server import Server
     from ...tools.page.page import Page
-    from ...tools.page.table_source import Shown
+    from ...tools.page.table_source import ShownTable
 
 Address = tuple[str, int]
 
@@ -77,7 +77,7 @@ def exposed(
 
 @contextlib.contextmanager
 def shown(
-    make: Callable[[], Server | Shown], options: argparse.Namespace, to: TextIO | None = None
+    make: Callable[[], Server | ShownTable], options: argparse.Namespace, to: TextIO | None = None
 ) -> Iterator[Callable[[], None]]:
     """
     Show what `make` returns on a live page while the block runs, if there is an address.
@@ -126,7 +126,7 @@ def shown(
 
 
 @contextlib.contextmanager
-def tables_shown(make: Callable[[], Shown], options: argparse.Namespace) -> Iterator[None]:
+def tables_shown(make: Callable[[], ShownTable], options: argparse.Namespace) -> Iterator[None]:
     """Show tables on a live page while the block runs, and print its URL to stderr at once."""
     with shown(make, options, sys.stderr) as print_url:
         print_url()

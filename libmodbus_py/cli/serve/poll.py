@@ -27,7 +27,7 @@ from ...services.fleet.trial import overloads, trial_polls
 from ...services.tasks import WriterThread
 from ...system import allow_all_descriptors
 from .. import arguments, logs, tracing
-from ..output import Redrawn, Status, complain, inform
+from ..output import RedrawnLines, Status, complain, inform
 from ..parser import Parser, declare
 from . import fleet as workers
 from . import over_http
@@ -35,7 +35,7 @@ from .running import Hangup, notify_ready
 
 if TYPE_CHECKING:
     from ...services.fleet.shown_fleet import PageOutput
-    from ...tools.page.table_source import Shown
+    from ...tools.page.table_source import ShownTable
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -156,7 +156,7 @@ def _seen(
 ) -> Iterator[None]:
     """Serve the metrics and the page of a fleet while the block runs."""
 
-    def make() -> Shown:
+    def make() -> ShownTable:
         from ...services.fleet.journal.journal_reader import past_in
         from ...services.fleet.shown_fleet import ShownFleet
 
@@ -247,7 +247,7 @@ async def _show(has_table: bool, fleet: Fleet) -> None:
     """Draw the status, with a table of the values or alone, again and again until cancelled."""
     from ...services.fleet.shown_fleet import fleet_lines, problems
 
-    table, line = Redrawn(sys.stderr), Status()
+    table, line = RedrawnLines(sys.stderr), Status()
     polls, at = 0, time.monotonic()
     try:
         with logs.called_before_lines(table.clear):

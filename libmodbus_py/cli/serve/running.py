@@ -36,7 +36,7 @@ from .over_http import exposed, shown
 
 if TYPE_CHECKING:
     from ...server.server import Server
-    from ...tools.page.table_source import Shown
+    from ...tools.page.table_source import ShownTable
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -81,7 +81,7 @@ class _ServingCommand:
         self,
         server: Serving,
         urls: Sequence[str],
-        make_shown: Callable[[], Server | Shown],
+        make_shown: Callable[[], Server | ShownTable],
         *,
         begin: Callable[[], object] = lambda: None,
         answer: Callable[[list[str]], object] | None = None,

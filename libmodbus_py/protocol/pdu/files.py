@@ -14,7 +14,7 @@ from ..scan import lib
 from .request import (
     MAX_PDU,
     AddressError,
-    Echoed,
+    EchoedWrite,
     LengthRule,
     Request,
     WordRequest,
@@ -130,7 +130,7 @@ class ReadFileRecords(Request[list[list[int]]]):
 
 
 @dataclass(frozen=True, slots=True)
-class WriteFileRecords(Echoed):
+class WriteFileRecords(EchoedWrite):
     """
     Function 21, section 6.15: write groups of records, each (file, record, values).
 

@@ -319,7 +319,7 @@ class WordRequest(Request[Result]):
         return cls(*unpack_registers(pdu[1:]))
 
 
-class Echoed(Request[None]):
+class EchoedWrite(Request[None]):
     """
     A write whose response repeats the first bytes of the request.
 

@@ -11,7 +11,7 @@ from ..checks import integer
 from .request import (
     MAX_WRITTEN,
     REGISTERS,
-    Echoed,
+    EchoedWrite,
     LengthRule,
     Request,
     WordRequest,
@@ -34,7 +34,7 @@ Value = TypeVar("Value", bool, int)
 
 
 @dataclass(frozen=True, slots=True)
-class _WriteOne(Echoed, WordRequest[None], Generic[Value]):
+class _WriteOne(EchoedWrite, WordRequest[None], Generic[Value]):
     address: int
     value: Value
 
@@ -76,7 +76,7 @@ class WriteRegister(_WriteOne[int]):
 
 
 @dataclass(frozen=True, slots=True)
-class _WriteSeveral(Echoed, Generic[Value]):
+class _WriteSeveral(EchoedWrite, Generic[Value]):
     address: int
     values: tuple[Value, ...]
 
@@ -131,7 +131,7 @@ class WriteRegisters(_WriteSeveral[int]):
 
 
 @dataclass(frozen=True, slots=True)
-class MaskWriteRegister(Echoed, WordRequest[None]):
+class MaskWriteRegister(EchoedWrite, WordRequest[None]):
     """
     Function 22, section 6.16: set one holding register to
     (current AND `and_mask`) OR (`or_mask` AND NOT `and_mask`).

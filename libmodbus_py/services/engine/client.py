@@ -21,7 +21,7 @@ from nats.aio.msg import Msg
 from nats.protocol.parser import PERMISSIONS_ERR, Parser
 
 from ...protocol.logs import HarmlessLogger
-from ...security.security import Renewed
+from ...security.security import RenewedValue
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -70,7 +70,9 @@ class SteadyClient(Client):
     def ssl_context(self) -> ssl.SSLContext:
         """The settings of TLS; read again from their files for each connection."""
         tls = self.options.get("tls")
-        context: ssl.SSLContext = tls.fresh() if isinstance(tls, Renewed) else super().ssl_context
+        context: ssl.SSLContext = (
+            tls.fresh() if isinstance(tls, RenewedValue) else super().ssl_context
+        )
         return context
 
     def _connect_command(self) -> bytes:

@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from ...security.certificates import in_words
-from ...security.security import Renewed, read_secret
+from ...security.security import RenewedValue, read_secret
 from ...version import what_is_missing
 from ..other_servers import server_url
 from ..tasks import finish
@@ -69,7 +69,7 @@ class FileText(UserString):
     """
 
     def __init__(self, name: str, path: str, *needed: str) -> None:
-        self._content = Renewed(partial(_secret, f"{name}: {path}", path, needed))
+        self._content = RenewedValue(partial(_secret, f"{name}: {path}", path, needed))
 
     @property
     def data(self) -> str:  # type: ignore[override]
@@ -202,7 +202,7 @@ def _trust(servers: list[str], environment: Mapping[str, str]) -> dict[str, Any]
         return context
 
     try:
-        return {"tls": Renewed(context)}
+        return {"tls": RenewedValue(context)}
     except ValueError as error:
         raise EngineError(str(error)) from None
 
@@ -224,7 +224,7 @@ class EngineError(Exception):
     """NATS cannot be used. The message begins with the URL or the name of the bucket."""
 
 
-class NothingThere(EngineError):
+class NoBucket(EngineError):
     """The bucket does not exist."""
 
 
@@ -241,7 +241,7 @@ def engine_errors(where: str) -> Iterator[None]:
     try:
         yield
     except js.BucketNotFoundError:
-        raise NothingThere(f"{where}: there is no fleet yet; put it there with --push") from None
+        raise NoBucket(f"{where}: there is no fleet yet; put it there with --push") from None
     except (basic.Error, OSError) as error:
         lasting = js.NoStreamResponseError | basic.NoRespondersError | basic.MaxPayloadError
         is_lasting = isinstance(error, lasting) or (

@@ -26,7 +26,7 @@ from ...client.asynchronous import AsyncClient
 from ...client.reconnecting import State
 from ...client.sender import Sender
 from ...maps.plan import unreadable_of
-from ...maps.refusals import PartialAnswer, Refusals, Unreadable, is_refusal, reading
+from ...maps.refusals import PartialAnswer, Refusals, UnreadableItem, is_refusal, reading
 from ...maps.watched import TOLERANCE, PointIntervals, Totals
 from ...protocol.errors import ModbusConnectionError, ModbusError
 from ...protocol.logs import HarmlessLogger
@@ -149,7 +149,7 @@ class Poller(LineRequest):
         return self.was_reported or self.state is not DeviceState.NEW
 
     @property
-    def unreadable(self) -> list[Unreadable]:
+    def unreadable(self) -> list[UnreadableItem]:
         """The points that the device refuses, and that are left out until they are tried again."""
         device = f"{self.config.endpoint}, unit {self.config.unit}"
         return unreadable_of(self.reads.plan, self._refusals, device)

@@ -19,7 +19,7 @@ from .commands import Commands
 from .config import DeviceConfig
 from .journal.journal import Journal
 from .outputs.output import Output, check_exclusive
-from .outputs.pump import Pump
+from .outputs.writer import OutputWriter
 from .readings import Buffer, Reading
 from .statistics import FleetStatistics
 
@@ -39,7 +39,7 @@ class Receivers:
         self._journal = journal
         self._statistics = statistics
         statistics.journal = journal.statistics if journal else None
-        self._pumps: list[Pump] = []
+        self._writers: list[OutputWriter] = []
         # Of outputs that read nothing from the journal.
         self._live: list[Buffer] = []
         self._iterated: weakref.WeakSet[Buffer] = weakref.WeakSet()
@@ -66,12 +66,12 @@ class Receivers:
         for number, output in enumerate(self.outputs):
             if output.takes_commands:
                 output.attach_commands(commands)
-            pump = Pump(output, waiting=places.get(number))
-            self._statistics.outputs[names[number]] = pump.statistics
-            self._pumps.append(pump)
+            writer = OutputWriter(output, waiting=places.get(number))
+            self._statistics.outputs[names[number]] = writer.statistics
+            self._writers.append(writer)
             if number not in places:
-                self._live.append(pump.buffer)
-            pump.start()
+                self._live.append(writer.buffer)
+            writer.start()
 
     def put_readings(self, readings: list[Reading]) -> None:
         if not readings:
@@ -93,14 +93,14 @@ class Receivers:
 
     def log_ends(self) -> None:
         """Log an output that fails permanently: the program does not wait for its error."""
-        for pump in self._pumps:
-            pump.task.add_done_callback(_log_end)
+        for writer in self._writers:
+            writer.task.add_done_callback(_log_end)
 
     async def wait_for_end(self, event: asyncio.Event) -> None:
         """Wait for an event, or for an output that fails permanently: raise its OutputError."""
         waiting = asyncio.create_task(event.wait())
         try:
-            tasks = [waiting, *(pump.task for pump in self._pumps)]
+            tasks = [waiting, *(writer.task for writer in self._writers)]
             ends, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in ends:
                 task.result()
@@ -111,17 +111,17 @@ class Receivers:
         """Let the outputs write what waits, until a failure if patient, and close the journal."""
         for buffer in self._iterated:
             buffer.close_buffer()
-        for pump in self._pumps:
-            pump.close_pump(is_patient=is_patient)
+        for writer in self._writers:
+            writer.close_writer(is_patient=is_patient)
         try:
             # A second cancellation ends the outputs at once.
             with contextlib.suppress(asyncio.InvalidStateError):
-                tasks = [*closing, *(pump.task for pump in self._pumps)]
+                tasks = [*closing, *(writer.task for writer in self._writers)]
                 await asyncio.gather(*tasks, return_exceptions=True)
         finally:
-            for pump in self._pumps:
-                pump.task.cancel()
-            self._pumps, self._live = [], []
+            for writer in self._writers:
+                writer.task.cancel()
+            self._writers, self._live = [], []
             if self._journal is not None:
                 await self._journal.close()
 

@@ -8,12 +8,12 @@ from collections.abc import Callable, Hashable
 from typing import NamedTuple
 
 from ...device import authorization
-from ...device.access import Auditor, Caller, Executed, Who, changes_of, touched
+from ...device.access import Auditor, Caller, ExecutedRequest, Who, changes_of, touched
 from ...device.authorization import (
     Allow,
-    Asked,
     Authorization,
     Authorize,
+    ClientRequest,
     LimitedLog,
     UnauthorizedError,
 )
@@ -24,7 +24,7 @@ from ...protocol import errors
 from ...protocol.errors import ExceptionResponse
 from ...protocol.framing import Frame
 from ...protocol.logs import HarmlessLogger
-from ...server.framed import Framed, SessionSettings
+from ...server.framed import FrameServer, SessionSettings
 from ...server.limits import ServerStatistics, host_of
 from ...server.service import Channel, Later, MakeSession
 from .line import ForwardedRequest, GatewayLine, RequestBytes, request_of
@@ -156,7 +156,9 @@ class Dispatcher:
             return
         who: Who = unit, session.peer, session.role
         pdu_request, accesses = request.pdu_request, touched(request.pdu_request, who)
-        action = Asked(session.role, unit, session.peer, request.function, pdu_request, *accesses)
+        action = ClientRequest(
+            session.role, unit, session.peer, request.function, pdu_request, *accesses
+        )
         try:
             if self._guard is not None:
                 self._guard.check(action)
@@ -269,7 +271,7 @@ class Broadcast:
 # --- sessions ---------------------------------------------------------------------------------
 
 
-class ForwardingSession(Framed):
+class ForwardingSession(FrameServer):
     """
     The requests of one client that wait for their responses, with what they leave.
 
@@ -316,7 +318,7 @@ class ForwardingSession(Framed):
         if (auditor := self._dispatcher.auditor) is not None:
             caller = self.caller(unit)._replace(is_broadcast=unit == 0)
             changes = changes_of(request.pdu_request, caller)
-            auditor.note(Executed(caller, request.pdu, response, changes, is_change))
+            auditor.note(ExecutedRequest(caller, request.pdu, response, changes, is_change))
 
     def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
         self.open_requests.pop(forwarded, None)

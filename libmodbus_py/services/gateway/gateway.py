@@ -51,10 +51,10 @@ class Gateway(Serving):
         security: the certificate of the gateway and those it trusts, for tls; the options of the
             URLs may contain them instead.
         authorize: decides whether a request is allowed, such as `Rules`. It is called in the
-            event loop of the gateway with an `Asked`, whose `unit` is the one that the client
+            event loop of the gateway with a `ClientRequest`, whose `unit` is that which the client
             sent, also for requests to the gateway itself. A request that is not allowed gets
             exception 1.
-        trace: called with a `Traced` for every ADU received from clients and sent to them, as
+        trace: called with a `TracedFrame` for every ADU received from clients and sent to them, as
             for `Server`.
         audit: called with an `AuditEvent` for each write, each request and connection that is
             refused; an `Audit` to refuse writes while it fails.

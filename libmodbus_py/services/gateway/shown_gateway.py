@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from ...ports.hosts import host_of_peer
-from ...ports.trace import Traced
+from ...ports.trace import TracedFrame
 from ...protocol.pdu.function_codes import REQUESTS
 from ...tools.page.log import Log, request_name
 from ...tools.page.samples import Counts, RowHistory, Series
@@ -54,7 +54,7 @@ class GatewayRow(NamedTuple):
 
 
 class ShownGateway:
-    """See `Shown` of the page; the trace of the gateway must call `note`."""
+    """See `ShownTable` of the page; the trace of the gateway must call `note`."""
 
     kind = "gateway"
     older: Older | None = None
@@ -68,7 +68,7 @@ class ShownGateway:
         self._history = RowHistory(lambda: ((row.name, row.counts) for row in self._behind()))
         self._clients = Clients()
 
-    def note(self, traced: Traced) -> None:
+    def note(self, traced: TracedFrame) -> None:
         """Take what a trace is called with; quickly, because the gateway waits."""
         self._log.note(traced)
         self._clients.note(traced)
@@ -177,7 +177,7 @@ class Clients:
         # Host, unit and function -> requests, exceptions, and the time of the last request.
         self._client_counts: dict[tuple[str, int, int], tuple[int, int, float]] = {}
 
-    def note(self, traced: Traced) -> None:
+    def note(self, traced: TracedFrame) -> None:
         """Count a request or a response."""
         if traced.unit is None or traced.function is None:
             return

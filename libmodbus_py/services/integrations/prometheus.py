@@ -29,7 +29,7 @@ LIMIT_S = 10.0
 """Seconds for the request of a client, and for taking the answer: Prometheus waits as long."""
 
 
-class Counted(Protocol):
+class StatisticsSource(Protocol):
     """A client, a server, a gateway or a fleet; a gateway also has `traffic`."""
 
     @property
@@ -66,7 +66,7 @@ class Collector(_Collector):
         self._fleets: list[_WatchedFleet] = []
         self._past: dict[Labels, dict[Sample, float]] = {}
 
-    def add(self, *objects: Counted, name: str = "") -> None:
+    def add(self, *objects: StatisticsSource, name: str = "") -> None:
         """
         Add objects to the metrics. Adding one again has no effect.
 
@@ -187,7 +187,9 @@ _collectors: weakref.WeakKeyDictionary[CollectorRegistry, Collector] = weakref.W
 _collectors_lock = threading.Lock()
 
 
-def collect(*objects: Counted, name: str = "", registry: CollectorRegistry = REGISTRY) -> Collector:
+def collect(
+    *objects: StatisticsSource, name: str = "", registry: CollectorRegistry = REGISTRY
+) -> Collector:
     """
     Add clients, servers, gateways and fleets to the metrics of a registry.
 

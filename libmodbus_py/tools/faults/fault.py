@@ -10,7 +10,7 @@ import random
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
-from ...device.access import Touched, touched_by
+from ...device.access import Accesses, touched_by
 from ...files import schema
 from ...protocol.checks import number, seconds
 from ...protocol.framing import AsciiFramer, Frame, Framer, RtuFramer
@@ -171,7 +171,7 @@ class Fault:
         """True if the fault happens to requests of all addresses."""
         return self.table is None and self.address is None
 
-    def hits(self, touched: Touched) -> bool:
+    def hits(self, touched: Accesses) -> bool:
         """Return True if the fault happens to a request with these accesses."""
         first = 0 if self.address is None else self.address
         stop = TABLE_SIZE if self.address is None else first + (self.count or 1)

@@ -30,7 +30,7 @@ from .packets import (
 )
 from .separator import Candidate, Damage
 from .streams import LINKS, MODBUS_PORT
-from .transaction import Heard
+from .transaction import TimedFrame
 
 # The type of link of exported PDUs: LINKTYPE_WIRESHARK_UPPER_PDU.
 UPPER_PDU = 252
@@ -108,7 +108,7 @@ class CaptureWriter:
         """Close the file; any number of times."""
         self._file.close()
 
-    def write(self, event: Heard, link: int = 0) -> None:
+    def write(self, event: TimedFrame, link: int = 0) -> None:
         """Write a frame or damaged bytes of a connection; raise OSError if the disk is full."""
         port = FIRST_CLIENT_PORT + link % (65536 - FIRST_CLIENT_PORT)
         if event.frame is None:

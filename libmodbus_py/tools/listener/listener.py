@@ -15,7 +15,7 @@ from typing import Self
 
 from ...ports.endpoint import Endpoint, parse_to_listen
 from ...ports.port import REOPEN_AFTER, Outage
-from ...ports.waiting import READ, Ready, Steps, Waker, Woken, of_system, run, run_async
+from ...ports.waiting import READ, Ready, Steps, WaitInterrupted, Waker, of_system, run, run_async
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.logs import HarmlessLogger
 from ...protocol.mistakes import named_parameters
@@ -24,7 +24,7 @@ from .packets import Packet
 from .separator import LineFraming, Separator
 from .sources import SerialSource, Tap, TimedBytes
 from .streams import TcpStreams
-from .transaction import Heard, Summary, Transaction
+from .transaction import Summary, TimedFrame, Transaction
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -139,7 +139,7 @@ class Listener:
 
     def __next__(self) -> Transaction:
         transaction = None
-        with self._iterating(), contextlib.suppress(Woken):
+        with self._iterating(), contextlib.suppress(WaitInterrupted):
             transaction = run(self._next(), self._waker)
         if transaction is None:
             raise StopIteration
@@ -223,7 +223,7 @@ class Listener:
             self._separators[link] = Separator(self._framing, on_heard, self._pause)
         return self._separators[link]
 
-    def _record(self, link: int, event: Heard) -> None:
+    def _record(self, link: int, event: TimedFrame) -> None:
         """Write to the capture; if that fails, end the capture, but continue to listen."""
         if self._writer is None or self.capture_error is not None:
             return

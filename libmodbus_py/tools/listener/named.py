@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from ...device.access import touched
 from ...device.mapping import Mapping
-from ...maps.meaning import Judged
+from ...maps.meaning import DecodedValue
 from ...maps.point import Point
 from ...maps.register_map import AnyMap, RegisterMap, map_of
 from ...protocol import pdu
@@ -125,7 +125,7 @@ class MapDecoder:
         before = self._last_values.get((unit, "holding_registers", request.address))
         return None if before is None else Mapping(holding_registers={request.address: [before]})
 
-    def _judged(self, unit: int, point: Point) -> Judged | None:
+    def _judged(self, unit: int, point: Point) -> DecodedValue | None:
         cells = [self._last_values.get((unit, point.table, address)) for address in point.cells]
         if None in cells:
             return None

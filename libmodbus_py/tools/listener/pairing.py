@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from ...ports.schemes import framing_of
-from ...ports.trace import Traced
+from ...ports.trace import TracedFrame
 from ...protocol.errors import InvalidResponse
 from ...protocol.framing import Frame
 from ...protocol.pdu import RawRequest, Request
@@ -41,7 +41,7 @@ MOST = 256  # the most open requests, and the most requests with late responses,
 MOST_CONNECTIONS = 1000  # the most connections of a trace that are followed at once
 
 
-class Spoiled(NamedTuple):
+class SpoiledRequest(NamedTuple):
     """The outcome of a request after other bytes than its response, which may still follow."""
 
     ended: float
@@ -58,7 +58,7 @@ class OpenRequest:
     frame: Frame
     request: Request[Any]
     repeats: int
-    spoiled: Spoiled | None = None
+    spoiled: SpoiledRequest | None = None
 
     def is_for(self, frame: Frame) -> bool:
         """Return True if unit, function code and transaction id are those of a response."""
@@ -192,7 +192,9 @@ class Pairing:
             return
         if request.spoiled is not None:
             self.done.append(request.spoiled.alone)
-        request.spoiled = Spoiled(ended, outcome or Ending(alone.kind, None, alone.error), alone)
+        request.spoiled = SpoiledRequest(
+            ended, outcome or Ending(alone.kind, None, alone.error), alone
+        )
 
     def _give_up(self, request: OpenRequest) -> None:
         self._open.remove(request)
@@ -222,7 +224,7 @@ def _key(frame: Frame) -> tuple[int, int]:
 
 
 class Exchange(NamedTuple):
-    """A transaction of one connection; `peer` is as in `Traced`."""
+    """A transaction of one connection; `peer` is as in `TracedFrame`."""
 
     peer: str | None
     transaction: Transaction
@@ -237,7 +239,7 @@ class TracePairing:
         self._timeout = timeout
         self._connections: dict[tuple[str, str | None], Pairing] = {}
 
-    def take(self, traced: Traced, at: float | None = None) -> None:
+    def take(self, traced: TracedFrame, at: float | None = None) -> None:
         """Take an ADU of the trace; `at` is the time on another clock than that of the trace."""
         at = traced.time if at is None else at
         pairing = self._pairing(traced)
@@ -269,7 +271,7 @@ class TracePairing:
         """End all open requests, because nothing more will be received."""
         self.tick(math.inf)
 
-    def _pairing(self, traced: Traced) -> Pairing:
+    def _pairing(self, traced: TracedFrame) -> Pairing:
         key = traced.endpoint, traced.peer
         pairing = self._connections.pop(key, None)
         if pairing is None:

@@ -31,7 +31,7 @@ from ...protocol.framing import AsciiFramer, Frame
 from ...protocol.rtu import RtuCutter, may_be
 from ...protocol.scan import ALLOWANCE
 from .pairing import OpenRequest, Pairing
-from .transaction import Heard, OnHeard, Part, Transaction, decoded
+from .transaction import OnHeard, Part, TimedFrame, Transaction, decoded
 
 LineFraming = Literal["rtu", "ascii"]
 
@@ -76,7 +76,7 @@ class Damage(NamedTuple):
     data: bytes
 
 
-Found = Iterator[Candidate | Damage]
+FoundUnit = Iterator[Candidate | Damage]
 
 
 class _RtuHearing:
@@ -91,19 +91,19 @@ class _RtuHearing:
         self._times: list[float] = []  # when each piece arrived
         self._damage: Damage | None = None  # more bytes may belong to it
 
-    def split(self, data: bytes, at: float) -> Found:
+    def split(self, data: bytes, at: float) -> FoundUnit:
         # At most one for each byte that waits for the rest of its frame.
         self._offsets.append(self._start + len(self._data))
         self._times.append(at)
         self._data += data
         yield from self._cut(is_silent=False)
 
-    def silence(self, *, is_over: bool) -> Found:
+    def silence(self, *, is_over: bool) -> FoundUnit:
         yield from self._cut(is_silent=True, is_over=is_over)
         if not self._data:
             yield from self._flush()
 
-    def _cut(self, *, is_silent: bool, is_over: bool = False) -> Found:
+    def _cut(self, *, is_silent: bool, is_over: bool = False) -> FoundUnit:
         data, offset = self._data, self._start
         pieces, count = self._cutter.cut(data, is_silent=is_silent, is_over=is_over)
         self._data, self._start = data[count:], offset + count
@@ -143,7 +143,7 @@ class _AsciiHearing:
     def quiet(self) -> float:
         return self.framer.quiet
 
-    def split(self, data: bytes, at: float) -> Found:
+    def split(self, data: bytes, at: float) -> FoundUnit:
         self._at = at
         began = at if self._began is None else self._began
         items = self.framer.scan(data)
@@ -155,12 +155,12 @@ class _AsciiHearing:
         elif self._began is None or items:
             self._began = at
 
-    def silence(self, *, is_over: bool) -> Found:
+    def silence(self, *, is_over: bool) -> FoundUnit:
         began = self._at if self._began is None else self._began
         yield from self._candidates(self.framer.scan_silence(), began)
         self._began = None
 
-    def _candidates(self, items: list[Frame | FrameError], began: float) -> Found:
+    def _candidates(self, items: list[Frame | FrameError], began: float) -> FoundUnit:
         for item in items:
             if isinstance(item, FrameError):
                 yield Damage(began, self._at, item.received)
@@ -192,8 +192,8 @@ class Separator:
 
     Args:
         framing: "rtu" or "ascii".
-        on_heard: called with a `Heard` for each frame as soon as it is known to be a request or a
-            response, and for damaged bytes.
+        on_heard: called with a `TimedFrame` for each frame as soon as it is known to be a request
+            or a response, and for damaged bytes.
         pause: the seconds between two frames on an RTU line, as `pause_between_frames` returns;
             0 if bytes do not arrive at the pace of a serial line.
 
@@ -217,7 +217,7 @@ class Separator:
         self._pairing = Pairing()
         self._times = _LearntTimes()
         self._is_certain = True  # the open request cannot be a response
-        self._doubtful: Heard | None = None  # a request that may turn out to be a response
+        self._doubtful: TimedFrame | None = None  # a request that may turn out to be a response
         self._hearings: dict[Direction | None, _RtuHearing | _AsciiHearing] = {}
         self._last: dict[Direction | None, float] = {}
         self._is_quiet: set[Direction | None] = set()
@@ -270,7 +270,7 @@ class Separator:
             if is_over:
                 del self._last[direction]
 
-    def _take(self, direction: Direction | None, items: Found) -> None:
+    def _take(self, direction: Direction | None, items: FoundUnit) -> None:
         asks = direction == "client"
         for item in items:
             if direction is None or isinstance(item, Damage):
@@ -295,18 +295,18 @@ class Separator:
         began, ended = item.began, item.ended
         self._pairing.tick(began)
         if isinstance(item, Damage):
-            self._report(Heard(began, ended, "damage", None, item.data))
+            self._report(TimedFrame(began, ended, "damage", None, item.data))
             self._pairing.damage(*item)
             return
         code = item.frame.pdu[0]
         if not code & 0x7F or (code > 0x80 and not item.may_answer):  # application protocol, 4.1
             part: Part = "response" if item.may_answer else "request"
-            self._report(Heard(began, ended, part, item.frame))
+            self._report(TimedFrame(began, ended, part, item.frame))
             self._pairing.misuse(began, ended, item.frame)
         elif self._is_request(item):
             self._take_request(item)
         else:
-            self._report(Heard(began, ended, "response", item.frame))
+            self._report(TimedFrame(began, ended, "response", item.frame))
             request = self._pairing.due
             outcome = self._pairing.answer(began, ended, item.frame)
             if request is not None and outcome is not None and outcome.kind != "invalid":
@@ -317,7 +317,7 @@ class Separator:
         if self._pairing.due is None:
             self._report(None)
 
-    def _report(self, event: Heard | None) -> None:
+    def _report(self, event: TimedFrame | None) -> None:
         """Call `on_heard` in the order of the line: first with the request that was held."""
         former, self._doubtful = self._doubtful, None
         for item in (former, event):
@@ -362,7 +362,7 @@ class Separator:
             elif self._is_certain and not candidate.may_answer:
                 # Times are not learnt from guesses, because they decide the next guess.
                 self._times.timeouts.append(began - before.ended)
-        event = Heard(began, candidate.ended, "request", candidate.frame)
+        event = TimedFrame(began, candidate.ended, "request", candidate.frame)
         self._report(None if candidate.may_answer else event)
         self._doubtful = event if candidate.may_answer else None
         self._is_certain = not candidate.may_answer

@@ -16,7 +16,7 @@ from typing import NamedTuple
 from ...protocol.framing import Frame
 from .packets import Packet
 from .pairing import Pairing
-from .transaction import Heard, Part, Transaction, misuse_transaction
+from .transaction import Part, TimedFrame, Transaction, misuse_transaction
 
 TCP = 6  # the number of TCP among the protocols of IP
 MODBUS_PORT = 502  # the port by which Wireshark knows Modbus, and which a server has usually
@@ -27,7 +27,7 @@ IPV4, IPV6, VLANS = 0x0800, 0x86DD, (0x8100, 0x88A8)  # EtherTypes: IPv4, IPv6, 
 # Segments behind a gap after which it is taken to be lost, because nothing may fill it.
 MAX_WAITING = 32
 
-OnHeard = Callable[[int, Heard], object]
+OnHeard = Callable[[int, TimedFrame], object]
 
 
 # --- from packets to segments -----------------------------------------------------------------
@@ -174,7 +174,7 @@ class TcpConnection:
     ) -> list[Transaction]:
         for at, frame in frames:
             part: Part = "response" if is_response else "request"
-            self._on_heard(self._number, Heard(at, at, part, frame))
+            self._on_heard(self._number, TimedFrame(at, at, part, frame))
             if is_response:
                 self._pairing.answer(at, at, frame)
             elif 0 < frame.pdu[0] < 0x80:

@@ -25,7 +25,7 @@ Kind = Literal[
 Part = Literal["request", "response", "damage"]
 
 
-class Heard(NamedTuple):
+class TimedFrame(NamedTuple):
     """A request, a response, or damaged bytes, with the times of the first and the last byte."""
 
     began: float
@@ -35,7 +35,7 @@ class Heard(NamedTuple):
     data: bytes = b""
 
 
-OnHeard = Callable[[Heard], object]
+OnHeard = Callable[[TimedFrame], object]
 
 
 @dataclass(frozen=True, slots=True)

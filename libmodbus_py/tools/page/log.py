@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from ...device.access import ACCESSES, touched
 from ...files.csv_text import csv_rows
 from ...ports.schemes import framing_of
-from ...ports.trace import Traced
+from ...ports.trace import TracedFrame
 from ...protocol import pdu
 from ...protocol.pdu import Request
 from ...protocol.pdu.request import arguments
@@ -71,7 +71,7 @@ class Log:
 
     def __init__(self, server_of: Callable[[], ShownServer]) -> None:
         self._server_of = server_of
-        self._adus: deque[Traced] = deque(maxlen=MOST_ADUS)
+        self._adus: deque[TracedFrame] = deque(maxlen=MOST_ADUS)
         self._pairing = TracePairing()
         self._rows: deque[LogRow] = deque(maxlen=MOST_ROWS)
         self._row_numbers = count(1)
@@ -82,7 +82,7 @@ class Log:
         self._write_rows: dict[tuple[int | None, str, int, int], dict[str, Any]] = {}
         self._write_numbers = count(1)
 
-    def note(self, traced: Traced) -> None:
+    def note(self, traced: TracedFrame) -> None:
         """Take an ADU of the trace; returns quickly, because the server waits."""
         self._adus.append(traced)
         if traced.function is None or traced.function & 0x7F not in WRITES:

@@ -28,7 +28,7 @@ from ...protocol.json_text import json_text
 from ...server.server import Server
 from ..timed_server import TimedServer
 from .server_source import ServerSource
-from .streams import Action, PageSource, Refused, Streams
+from .streams import Action, HttpRefusal, PageSource, Streams
 
 # 22 characters have 128 bits, if they are chosen at random.
 TOKEN = re.compile("[A-Za-z0-9_-]{22,200}")
@@ -62,16 +62,16 @@ class _PageGuard:
         self._outer_origin = None if outer is None else f"{outer.scheme}://{self._outer_host}"
 
     def check(self, token: str, headers: Message, *, is_change: bool) -> None:
-        """Raise `Refused` if a request is not allowed."""
+        """Raise `HttpRefusal` if a request is not allowed."""
         host, origin = headers.get("Host", ""), headers.get("Origin")
         if len(headers.get_all("Host", [])) != 1 or not self._is_own(host):
-            raise Refused(403, f"the Host header is not the address of this page; {PROXY}")
+            raise HttpRefusal(403, f"the Host header is not the address of this page; {PROXY}")
         origins = None, f"http://{host}", self._outer_origin
         if (is_change and origin is None) or origin not in origins:
-            raise Refused(403, f"the Origin header is not the address of this page; {PROXY}")
+            raise HttpRefusal(403, f"the Origin header is not the address of this page; {PROXY}")
         tokens = [token, *self._cookies(headers)]
         if not any(hmac.compare_digest(text.encode(), self.token.encode()) for text in tokens):
-            raise Refused(403, "the token is missing or wrong: open the URL that was printed")
+            raise HttpRefusal(403, "the token is missing or wrong: open the URL that was printed")
 
     def _is_own(self, host: str) -> bool:
         if host.lower() == self._outer_host:
@@ -170,11 +170,11 @@ class Handler(BaseHTTPRequestHandler):
                 parts = urlsplit(self.path)
                 fields = dict(parse_qsl(parts.query, max_num_fields=MOST_FIELDS))
             except ValueError:
-                raise Refused(400, "the path is invalid, or has too many fields") from None
+                raise HttpRefusal(400, "the path is invalid, or has too many fields") from None
             token, is_change = fields.get("token", ""), self.command != "GET"
             self.server.guard.check(token, self.headers, is_change=is_change)
             answer(parts.path, fields)
-        except Refused as refusal:
+        except HttpRefusal as refusal:
             self._send_json({"error": str(refusal)}, refusal.status)
 
     def _get(self, path: str, fields: dict[str, str]) -> None:
@@ -187,34 +187,34 @@ class Handler(BaseHTTPRequestHandler):
             name, kind = FILES[path]
             self._send(kind, FOLDER.joinpath(name).read_bytes(), with_cookie=path == "/")
         else:
-            raise Refused(404, "not found")
+            raise HttpRefusal(404, "not found")
 
     def _post(self, path: str, _: dict[str, str]) -> None:
         action = self.server.actions.get(path)
         if action is None:
-            raise Refused(404, "not found")
+            raise HttpRefusal(404, "not found")
         try:
             result = action(self._body())
         except KeyError as error:
-            raise Refused(400, f"{error} is missing") from None
+            raise HttpRefusal(400, f"{error} is missing") from None
         except (TypeError, ValueError) as error:
-            raise Refused(400, str(error)) from None
+            raise HttpRefusal(400, str(error)) from None
         self._send_json(result or {})
 
     def _body(self) -> dict[str, Any]:
         if self.headers.get_content_type() != "application/json":
-            raise Refused(415, "the Content-Type must be application/json")
+            raise HttpRefusal(415, "the Content-Type must be application/json")
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdigit()) or "Transfer-Encoding" in self.headers:
-            raise Refused(411, "Content-Length is missing")
+            raise HttpRefusal(411, "Content-Length is missing")
         if len(length) > 9 or int(length) > MOST_BODY:
-            raise Refused(413, f"the body has more than {MOST_BODY} bytes")
+            raise HttpRefusal(413, f"the body has more than {MOST_BODY} bytes")
         try:
             body = json.loads(self.rfile.read(int(length)))
         except (ValueError, RecursionError):
-            raise Refused(400, "the body is not valid JSON") from None
+            raise HttpRefusal(400, "the body is not valid JSON") from None
         if not isinstance(body, dict):
-            raise Refused(400, "the body is not a JSON object")
+            raise HttpRefusal(400, "the body is not a JSON object")
         return body
 
     def _send(

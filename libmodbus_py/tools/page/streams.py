@@ -82,7 +82,7 @@ def difference(before: Tables, after: Tables) -> dict[str, Any]:
     return changes | dict.fromkeys(before.keys() - after.keys())
 
 
-class Refused(Exception):
+class HttpRefusal(Exception):
     """A request that is answered with this status of HTTP and text."""
 
     def __init__(self, status: int, text: str) -> None:
@@ -113,7 +113,7 @@ class Streams:
         """Return the messages to one more page, which end when the browser closes it."""
         with self._lock:
             if len(self._pages) >= MOST_STREAMS:
-                raise Refused(503, f"{MOST_STREAMS} pages are open, which is the maximum")
+                raise HttpRefusal(503, f"{MOST_STREAMS} pages are open, which is the maximum")
             page = _OpenPage()
             self._pages[page.head["stream"]] = page
         try:

@@ -57,7 +57,7 @@ class PageRow(Protocol):
     def cells(self) -> dict[str, Any]: ...
 
 
-class Shown(Protocol):
+class ShownTable(Protocol):
     """The table of a page and its head; a thread of the page calls the methods."""
 
     kind: str
@@ -80,7 +80,7 @@ class TableSource:
 
     script = "table.js"
 
-    def __init__(self, source: Shown) -> None:
+    def __init__(self, source: ShownTable) -> None:
         self._source = source
         self.actions: Mapping[str, Action] = {"/history": self._history}
         log = source.log

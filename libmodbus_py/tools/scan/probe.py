@@ -19,7 +19,7 @@ from typing import Any, Generic, NamedTuple, Self, TypeVar
 from ...client.blocking import Client
 from ...ports.endpoint import Endpoint
 from ...ports.options import SERIAL_DEFAULTS, parity_of
-from ...ports.trace import Traced
+from ...ports.trace import TracedFrame
 from ...ports.waiting import Waker
 from ...protocol import errors, pdu
 from ...protocol.checks import checked_callback, integer, seconds
@@ -286,7 +286,7 @@ class Prober:
         late, self._late = self._late, []
         return late
 
-    def _traced(self, traced: Traced) -> None:
+    def _traced(self, traced: TracedFrame) -> None:
         self.requests += traced.direction == "sent"
         self._pairing.take(traced, self.waker.now())
         pairs, self._pairing.done = self._pairing.done, []

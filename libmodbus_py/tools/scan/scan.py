@@ -42,7 +42,7 @@ class Progress(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundUnit:
     """
     A unit that answered.
 
@@ -73,9 +73,9 @@ class Found:
     identification: DeviceIdentification | None = None
 
 
-class Scan(Walker[Found]):
+class Scan(Walker[FoundUnit]):
     """
-    An iterator over `Found`, made by `scan`. The iteration can be stopped at any time.
+    An iterator over `FoundUnit`, made by `scan`. The iteration can be stopped at any time.
 
     The scan sends requests while it is iterated, by one thread, and only reads. `close` may be
     called from any thread. The port is closed, and its settings are restored, by `close`, at the
@@ -135,7 +135,7 @@ class _Rounds:
     tried: dict[str, list[int]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
-    def steps(self, prober: Prober) -> Generator[Found, None, None]:
+    def steps(self, prober: Prober) -> Generator[FoundUnit, None, None]:
         count = 0
         try:
             for units in self.rounds:
@@ -180,7 +180,7 @@ class _PlaceScan:
 
     def steps(
         self, prober: Prober, units: list[int], tell: Callable[[int, int], None]
-    ) -> Generator[Found, None, None]:
+    ) -> Generator[FoundUnit, None, None]:
         """Probe the units of a round; `tell` is called with the index of each, and the unit."""
         try:
             with prober.at(self.place):
@@ -198,7 +198,7 @@ class _PlaceScan:
                 raise
             self.refused, self.is_left = error, True
 
-    def _probe(self, prober: Prober, unit: int) -> Generator[Found, None, None]:
+    def _probe(self, prober: Prober, unit: int) -> Generator[FoundUnit, None, None]:
         answer = prober.probe(unit)
         if isinstance(answer, ModbusError):
             self._unit_errors[unit] = answer
@@ -224,8 +224,10 @@ class _PlaceScan:
             self._impossible = set(codes) if len(codes) == 2 and len(set(codes)) == 1 else set()
         return self._impossible
 
-    def _found_unit(self, prober: Prober, unit: int, answer: Answer, is_any: bool = False) -> Found:
-        return Found(
+    def _found_unit(
+        self, prober: Prober, unit: int, answer: Answer, is_any: bool = False
+    ) -> FoundUnit:
+        return FoundUnit(
             unit,
             self.place.url(unit),
             *answer,

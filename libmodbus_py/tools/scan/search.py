@@ -336,7 +336,7 @@ def search(
     that one read may ask for. Nothing is sent before the result is iterated.
 
     Args:
-        url: a URL for clients of the unit, such as `Found.url`.
+        url: a URL for clients of the unit, such as `FoundUnit.url`.
         timeout: seconds for each response, 0.001..86400; None for that of the URL, or 0.6 on
             serial ports and 1 elsewhere.
         most_requests: the most requests for all tables together, 4..1000000; each table gets an

@@ -12,7 +12,7 @@ from typing import Self, TypedDict, Unpack
 from ...device.device import Device
 from ...device.mapping import Mapping as Tables
 from ...ports.endpoint import parse
-from ...ports.trace import Traced
+from ...ports.trace import TracedFrame
 from ...protocol.tables import TABLE_SIZE
 from ...security.security import Security
 from ...server.faults import FaultSwitch, ServerFault
@@ -61,7 +61,7 @@ class RecordingServer:
         **options: Unpack[ServerOptions],
     ) -> None:
         # Paired only when `transactions` is called, so that this does not slow down the server.
-        self._traces: deque[Traced] = deque(maxlen=MOST)
+        self._traces: deque[TracedFrame] = deque(maxlen=MOST)
         server = Server(devices, faults=faults, trace=self._traces.append, **options)
         self.device: Device | None = devices if isinstance(devices, Device) else None
         if isinstance(devices, Mapping) and len(devices) == 1:

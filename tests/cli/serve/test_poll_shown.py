@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.cli.output import Redrawn
+from libmodbus_py.cli.output import RedrawnLines
 from tests.support.cases import each_case
 from tests.support.commands import PAGE_TOKEN, Started, on_terminal, page_url
 from tests.tools.page.watching import Visitor
@@ -25,7 +25,7 @@ def test_what_is_drawn_fits_the_terminal(monkeypatch, columns, rows, text) -> No
     size = os.terminal_size((columns, rows))
     monkeypatch.setattr("shutil.get_terminal_size", lambda: size)
     stream = io.StringIO()
-    table = Redrawn(stream)
+    table = RedrawnLines(stream)
     lines = [(f"line {at} \x1b[2J" + "x" * 200, False) for at in range(9)]
     table.draw(lines)
     first = stream.getvalue().split("\n")[:-1]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import ModbusConnectionError, State, Traced
+from libmodbus_py import ModbusConnectionError, State, TracedFrame
 from tests.support import certificates
 from tests.support.certificates import Pki
 from tests.support.clients import Connect
@@ -134,7 +134,7 @@ def test_requests_wait_while_a_ticket_comes_in_pieces(talking: Talking, tmp_path
 
 
 def test_the_trace_shows_what_is_inside(talking: Talking) -> None:
-    frames: list[Traced] = []
+    frames: list[TracedFrame] = []
     states: list[State] = []
     callbacks = {"trace": frames.append, "on_state": lambda state, error: states.append(state)}
     with talking(client=callbacks) as (server, plc):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from libmodbus_py.services import tasks
-from libmodbus_py.services.fleet.outputs import pump as pumps
+from libmodbus_py.services.fleet.outputs import writer
 
 if TYPE_CHECKING:
     from tests.services.fleet.outputs.brokers import Broker
@@ -22,7 +22,7 @@ def broker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Broker]:
 
     monkeypatch.setattr(tasks, "FIRST_PAUSE_S", 0.01)
     monkeypatch.setattr(tasks, "LONGEST_PAUSE_S", 0.05)
-    monkeypatch.setattr(pumps, "LONGEST_SILENCE_S", 0.1)
+    monkeypatch.setattr(writer, "LONGEST_SILENCE_S", 0.1)
     server = Broker(tmp_path)
     server.start()
     yield server

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from libmodbus_py import Gateway, IllegalDataAddress, Route
-from libmodbus_py.serve import Asked
+from libmodbus_py.serve import ClientRequest
 from tests.services.gateway.gates import LINE, adu
 from tests.simulation.lan import Lan
 from tests.simulation.scripted import Scripted, Write
@@ -37,15 +37,15 @@ class Case(NamedTuple):
     together: bool = False
 
 
-def refusing(request: Asked) -> None:
+def refusing(request: ClientRequest) -> None:
     raise IllegalDataAddress("not here", function=request.function)
 
 
-def failing(request: Asked) -> None:
+def failing(request: ClientRequest) -> None:
     raise ZeroDivisionError
 
 
-def no(request: Asked) -> bool:
+def no(request: ClientRequest) -> bool:
     return False
 
 

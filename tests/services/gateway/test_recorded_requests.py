@@ -20,7 +20,7 @@ from libmodbus_py import (
     ServerDeviceBusy,
     pdu,
 )
-from libmodbus_py.serve import Allow, Asked
+from libmodbus_py.serve import Allow, ClientRequest
 from tests.services.gateway.gates import READ_ONE, adu, gated, small
 from tests.simulation.lan import Lan
 from tests.support.events import Events
@@ -94,7 +94,7 @@ def test_reads_are_recorded_that_a_rule_refuses_and_no_others(lan: Lan, events: 
 def test_an_authorize_that_raises_is_recorded_and_answers_like_it_are_not(
     lan: Lan, events: Events
 ) -> None:
-    def authorize(request: Asked) -> bool:
+    def authorize(request: ClientRequest) -> bool:
         if request.function == 1:
             raise IllegalFunction
         if request.function == 2:

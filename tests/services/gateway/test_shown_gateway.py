@@ -14,7 +14,7 @@ from libmodbus_py import (
     Server,
 )
 from libmodbus_py.client.statistics import Statistics
-from libmodbus_py.ports.trace import Traced
+from libmodbus_py.ports.trace import TracedFrame
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.services.gateway.shown_gateway import Clients, ShownGateway
 from libmodbus_py.services.gateway.statistics import GatewayStatistics, LineStatistics
@@ -41,8 +41,10 @@ def problems(view: Any) -> list[str]:
     return [name for name, row in rows(view).items() if row.is_problem]
 
 
-def traced(direction: Any, function: int, peer: str = "192.0.2.7:4711", unit: int = 3) -> Traced:
-    return Traced(100.04, "tcp://0.0.0.0:502", direction, b"", unit, function, peer)
+def traced(
+    direction: Any, function: int, peer: str = "192.0.2.7:4711", unit: int = 3
+) -> TracedFrame:
+    return TracedFrame(100.04, "tcp://0.0.0.0:502", direction, b"", unit, function, peer)
 
 
 class Counted:

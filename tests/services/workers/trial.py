@@ -9,7 +9,7 @@ from typing import Any
 
 from libmodbus_py import Device, Mapping, Point, RegisterMap, Server
 from libmodbus_py.fleet import DeviceConfig, Reading
-from libmodbus_py.ports.trace import Traced
+from libmodbus_py.ports.trace import TracedFrame
 from libmodbus_py.services.fleet.outputs.output import Output
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.simulation.engine import Engine
@@ -46,7 +46,7 @@ class PollLog:
         self._now = now
         self._followed: dict[tuple[str, int], set[str]] = {}
 
-    def note(self, event: Traced) -> None:
+    def note(self, event: TracedFrame) -> None:
         if event.direction != "received":
             return
         now, device, asking = self._now(), (event.endpoint, event.unit or 0), event.peer or ""

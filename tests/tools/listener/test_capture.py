@@ -21,7 +21,7 @@ import pytest
 from libmodbus_py import Client, Device, Mapping, Server
 from libmodbus_py.listen import CaptureError, Transaction, listen
 from libmodbus_py.tools.listener.capture import CaptureWriter
-from libmodbus_py.tools.listener.transaction import Heard
+from libmodbus_py.tools.listener.transaction import TimedFrame
 from tests.support.cases import each_case
 from tests.support.vectors import EXCEPTIONS, RESPONSES, exchanges
 
@@ -30,17 +30,17 @@ DECODED = Path(__file__).with_name("decoded.pcapng")
 DAMAGED = [b"\x01\x03\x00", b"\xff", bytes(range(200))]
 
 
-def conversation() -> Iterator[Heard]:
+def conversation() -> Iterator[TimedFrame]:
     """All worked examples, each answer 4 ms behind its question, and damaged bytes between."""
     requests = {answer.id: question for question, answer in exchanges()}
     at = 1_700_000_000.0
     for number, answer in enumerate([*RESPONSES, *EXCEPTIONS]):
         if answer.id in requests:
-            yield Heard(at, at, "request", requests[answer.id].frame)
-            yield Heard(at + 0.004, at + 0.004, "response", answer.frame)
+            yield TimedFrame(at, at, "request", requests[answer.id].frame)
+            yield TimedFrame(at + 0.004, at + 0.004, "response", answer.frame)
         at += 0.5
         if number < len(DAMAGED):
-            yield Heard(at, at, "damage", None, DAMAGED[number])
+            yield TimedFrame(at, at, "damage", None, DAMAGED[number])
         at += 0.5
 
 

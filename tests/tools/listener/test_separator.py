@@ -14,7 +14,7 @@ import pytest
 
 from libmodbus_py import pdu
 from libmodbus_py.listen import Separator, Transaction
-from libmodbus_py.tools.listener.transaction import Heard, Kind
+from libmodbus_py.tools.listener.transaction import Kind, TimedFrame
 from tests.support.cases import each_case
 from tests.support.driver import ascii_frame, rtu
 from tests.support.framing import NO_REQUESTS
@@ -44,7 +44,7 @@ def kinds(pieces: Iterable[Piece], framing: str = "rtu") -> list[str]:
 
 
 def parts_of(pieces: Iterable[Piece], framing: str = "rtu") -> list[tuple[str, bytes]]:
-    frames: list[Heard] = []
+    frames: list[TimedFrame] = []
     separator = Separator(framing, frames.append)  # type: ignore[arg-type]
     for at, data in pieces:
         separator.feed(data, at)

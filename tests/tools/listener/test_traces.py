@@ -10,7 +10,7 @@ import tracemalloc
 from typing import NamedTuple
 
 from libmodbus_py.listen import Separator
-from libmodbus_py.ports.trace import Traced
+from libmodbus_py.ports.trace import TracedFrame
 from libmodbus_py.tools.listener.pairing import MOST, MOST_CONNECTIONS, TIMEOUT, TracePairing
 from libmodbus_py.tools.listener.transaction import Transaction
 from tests.support.cases import each_case
@@ -119,11 +119,11 @@ ON_LINES: list[tuple[list[Event], str]] = [
 ]  # fmt: skip
 
 
-def traced(event: Event, endpoint: str) -> Traced:
+def traced(event: Event, endpoint: str) -> TracedFrame:
     at = 6 if endpoint == TCP else 0
     unit, function = event.adu[at : at + 2] if event.is_frame else (None, None)
     direction = event.direction
-    return Traced(event.at, endpoint, direction, event.adu, unit, function, event.peer)  # type: ignore[arg-type]
+    return TracedFrame(event.at, endpoint, direction, event.adu, unit, function, event.peer)  # type: ignore[arg-type]
 
 
 def texts(transactions: list[Transaction]) -> str:

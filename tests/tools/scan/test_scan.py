@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Client, Device, Mapping, ModbusConnectionError, Server
-from libmodbus_py.scan import Found, Scan, scan, search
+from libmodbus_py.scan import FoundUnit, Scan, scan, search
 from tests.simulation.network import Network
 from tests.support import certificates
 from tests.support.certificates import Pki
@@ -31,11 +31,11 @@ def meter(**tables: Any) -> Device:
     return Device(Mapping(**tables), identification=OBJECTS)
 
 
-def at(unit: Found) -> tuple[int, int | None, str | None, int | None]:
+def at(unit: FoundUnit) -> tuple[int, int | None, str | None, int | None]:
     return unit.unit, unit.baudrate, unit.parity, unit.stop_bits
 
 
-def all_of(scanned: Scan) -> list[Found]:
+def all_of(scanned: Scan) -> list[FoundUnit]:
     with scanned:
         return list(scanned)
 

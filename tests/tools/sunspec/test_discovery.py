@@ -17,17 +17,17 @@ from tests.support.sunspec import chain, file_device, serving, walk_through
 DEVICES = {"inverter_123.json": 2, "device_1547.json": 14}
 """File of pysunspec2 -> the number of its models."""
 
-Found = tuple[sunspec.SunSpecDevice, dict[str, Any]]
+FoundUnit = tuple[sunspec.SunSpecDevice, dict[str, Any]]
 
 
-def blocking(url: str) -> Found:
+def blocking(url: str) -> FoundUnit:
     with Client(url) as plc:
         device = sunspec.discover(plc)
         return device, plc.read_map(device.map)
 
 
-def awaiting(url: str) -> Found:
-    async def ask() -> Found:
+def awaiting(url: str) -> FoundUnit:
+    async def ask() -> FoundUnit:
         async with AsyncClient(url) as plc:
             device = await sunspec.discover(plc)
             return device, await plc.read_map(device.map)
@@ -73,7 +73,9 @@ def comparable(ours: Any, kind: str, theirs: Any, point: Any) -> tuple[Any, Any]
 
 @BOTH
 @pytest.mark.parametrize("name", DEVICES)
-def test_the_models_and_values_are_those_of_pysunspec2(name, ask: Callable[[str], Found]) -> None:
+def test_the_models_and_values_are_those_of_pysunspec2(
+    name, ask: Callable[[str], FoundUnit]
+) -> None:
     with serving(file_device(name)) as url:
         device, values = ask(url)
         host, _, port = url.removeprefix("tcp://").rpartition(":")
@@ -98,7 +100,7 @@ def test_the_models_and_values_are_those_of_pysunspec2(name, ask: Callable[[str]
 
 
 @BOTH
-def test_an_unknown_model_is_kept_as_registers(ask: Callable[[str], Found]) -> None:
+def test_an_unknown_model_is_kept_as_registers(ask: Callable[[str], FoundUnit]) -> None:
     with serving(chain([64999, 3, 7, 8, 9], [64999, 0])) as url:
         device, values = ask(url)
     assert [each.is_known for each in device] == [False, False]

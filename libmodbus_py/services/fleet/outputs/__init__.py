@@ -5,7 +5,7 @@ Each output imports its libraries when it is opened, and has one row in `kinds`:
 
     output           the protocols of outputs, and things that only one may use
     kinds            the kinds of outputs by name
-    pump             moves the readings that wait to an output; finds the poll that is refused
+    writer           moves the readings that wait to an output; finds the poll that is refused
     line_file        JsonOutput and CsvOutput, and lines in a file or on the standard output
     forms            readings as JSON and CSV, and messages with the readings of a poll
     influx           Influx: the line protocol in a file, or sent to a server by HTTP

@@ -20,7 +20,7 @@ from libmodbus_py import Fleet
 from libmodbus_py.fleet import Journal
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.schema import JournalDamaged, JournalError
-from libmodbus_py.services.fleet.outputs.pump import MOST_OF_JOURNAL
+from libmodbus_py.services.fleet.outputs.writer import MOST_OF_JOURNAL
 from tests.services.fleet.fleets import NETWORK, Peer, in_simulated_time, meter, until
 from tests.services.fleet.journal.journals import (
     Failing,

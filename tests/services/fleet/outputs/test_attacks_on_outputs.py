@@ -22,7 +22,7 @@ from tests.services.fleet.fleets import (
     simulated,
     until,
 )
-from tests.support.outputs import FakeOutput, pumping
+from tests.support.outputs import FakeOutput, output_writer
 
 
 def poll(at: int, device: str = "a") -> list[Reading]:
@@ -54,15 +54,15 @@ async def test_a_file_on_a_full_disk_has_whole_lines_and_each_once(
     monkeypatch.setattr(tasks, "LONGEST_PAUSE_S", 0.01)
     disk = SmallDisk(monkeypatch, room)
     path = tmp_path / "readings"
-    async with pumping(make(str(path))) as pump:
+    async with output_writer(make(str(path))) as writer:
         for at in range(5):
-            pump.buffer.put_readings(poll(at))
-        await until(lambda: pump.statistics.failures > 3)
-        assert "No space left" in pump.statistics.trouble
+            writer.buffer.put_readings(poll(at))
+        await until(lambda: writer.statistics.failures > 3)
+        assert "No space left" in writer.statistics.trouble
         assert path.read_bytes()[-1:] in (b"", b"\n")
         disk.room = 1 << 20
-        await until(lambda: pump.statistics.written == 10)
-        assert pump.statistics.dropped == 0
+        await until(lambda: writer.statistics.written == 10)
+        assert writer.statistics.dropped == 0
     lines = path.read_text().splitlines()
     rows = lines if make is JsonOutput else lines[1:]
     assert len(rows) == len({*rows}) == 10

@@ -15,7 +15,7 @@ from libmodbus_py import Fleet
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs import mqtt_connection
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.outputs.pump import Pump
+from libmodbus_py.services.fleet.outputs.writer import OutputWriter
 from libmodbus_py.tools.certificates import Identity
 from tests.services.fleet.fleets import meter, real_peer, until
 from tests.services.fleet.outputs.brokers import (
@@ -29,7 +29,7 @@ from tests.services.fleet.outputs.brokers import (
 from tests.support import certificates
 from tests.support.certificates import Pki
 from tests.support.golden import Refused
-from tests.support.outputs import pumping
+from tests.support.outputs import output_writer
 
 
 def secure(broker: Broker, pki: Pki, identity: Identity) -> str:
@@ -199,25 +199,25 @@ def poll(device: str, at: float, **values: Any) -> list[Reading]:
     ]
 
 
-async def write_all(pump: Pump, readings: list[Reading]) -> None:
-    count = pump.statistics.written + len(readings)
-    pump.buffer.put_readings(readings)
-    await until(lambda: pump.statistics.written == count)
+async def write_all(writer: OutputWriter, readings: list[Reading]) -> None:
+    count = writer.statistics.written + len(readings)
+    writer.buffer.put_readings(readings)
+    await until(lambda: writer.statistics.written == count)
 
 
 async def test_a_retained_message_has_the_last_values_of_all_points(broker: Broker) -> None:
     """The broker retains one message of a topic; with changes only, a poll has few values."""
-    async with pumping(Mqtt(broker.url, topic=TOPIC)) as pump:
-        await write_all(pump, poll("a", 0, x=1, y=2))
-        await write_all(pump, [*poll("a", 1, y=3), *poll("a", 2, z=4)])
+    async with output_writer(Mqtt(broker.url, topic=TOPIC)) as writer:
+        await write_all(writer, poll("a", 0, x=1, y=2))
+        await write_all(writer, [*poll("a", 1, y=3), *poll("a", 2, z=4)])
         offline = Reading(103.0, "a", "x", None, "V", "offline")
         async with hearing(broker, "plant/+") as messages:
             await until(lambda: messages)
             assert plain(messages[-1][1]) == {"x": 1, "y": 3, "z": 4}
-            await write_all(pump, [offline])
+            await write_all(writer, [offline])
             await until(lambda: len(messages) == 2)
             assert plain(messages[-1][1]) == {"x": None, "y": 3, "z": 4}
-            await write_all(pump, poll("a", 4, y=5))
+            await write_all(writer, poll("a", 4, y=5))
             await until(lambda: len(messages) == 3)
             assert plain(messages[-1][1]) == {"y": 5, "z": 4}
 
@@ -225,9 +225,9 @@ async def test_a_retained_message_has_the_last_values_of_all_points(broker: Brok
 async def test_polls_above_the_largest_message_are_several(broker: Broker) -> None:
     broker.change("message_size_limit 2000")
     output = Mqtt(broker.url, topic=TOPIC, retain=False, max_message=2000)
-    async with pumping(output) as pump:
+    async with output_writer(output) as writer:
         async with hearing(broker, "plant/+") as notes:
-            await write_all(pump, poll("a", 0, **{f"point_{at}": at for at in range(100)}))
+            await write_all(writer, poll("a", 0, **{f"point_{at}": at for at in range(100)}))
             await until(lambda: notes and len(notes) == notes[0][1]["parts"])
         messages = payloads(notes, "plant/a")
         assert [each["part"] for each in messages] == list(range(1, len(messages) + 1))

@@ -17,7 +17,7 @@ from libmodbus_py.services.fleet.outputs.topics import Topic
 from tests.services.fleet.fleets import until
 from tests.services.fleet.outputs.brokers import Broker, hearing, payloads, plain, publish
 from tests.support.cases import each_case
-from tests.support.outputs import pumping
+from tests.support.outputs import output_writer
 
 
 async def test_the_status_is_online_while_one_of_two_is_connected(broker: Broker) -> None:
@@ -43,14 +43,14 @@ def reading(device: str, value: object, at: float = 0) -> Reading:
 async def test_last_values_at_which_the_broker_ends_connections_do_not_stop_others(
     broker: Broker, qos: int, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async with pumping(Mqtt(broker.url, qos=qos)) as pump:
-        pump.buffer.put_readings([reading("a", "x" * 500), reading("b", 1)])
-        await until(lambda: pump.statistics.written == 2)
+    async with output_writer(Mqtt(broker.url, qos=qos)) as writer:
+        writer.buffer.put_readings([reading("a", "x" * 500), reading("b", 1)])
+        await until(lambda: writer.statistics.written == 2)
         broker.settings.append("max_packet_size 400")
-        await broker.restart(pump.statistics)
+        await broker.restart(writer.statistics)
         async with hearing(broker, "modbus/+/text") as messages:
-            pump.buffer.put_readings([reading("c", 3, 1)])
-            await until(lambda: pump.statistics.written == 3)
+            writer.buffer.put_readings([reading("c", 3, 1)])
+            await until(lambda: writer.statistics.written == 3)
             await until(lambda: payloads(messages, "modbus/c/text"))
     assert "ends connections at last values, which are left out" in caplog.text
 
@@ -147,22 +147,22 @@ async def test_retained_messages_are_published_again_after_each_reconnection(
         values = {topic: (plain(payload), is_retained) for topic, payload, is_retained in messages}
         return {topic: values[topic] for topic in retained}
 
-    async with pumping(Mqtt(broker.url, qos=qos, **options)) as pump:
+    async with output_writer(Mqtt(broker.url, qos=qos, **options)) as writer:
         for readings in polls:
-            count = pump.statistics.written + len(readings)
-            pump.buffer.put_readings(readings)
-            await until(lambda count=count: pump.statistics.written == count)  # type: ignore[misc]
+            count = writer.statistics.written + len(readings)
+            writer.buffer.put_readings(readings)
+            await until(lambda count=count: writer.statistics.written == count)  # type: ignore[misc]
         assert await heard_later() == {topic: (each, True) for topic, each in retained.items()}
         for _ in range(3):
-            await broker.restart(pump.statistics)
+            await broker.restart(writer.statistics)
         broker.kill()
-        await until(lambda: pump.statistics.trouble)
-        pump.buffer.put_readings([reading("c", 7, 9)])
+        await until(lambda: writer.statistics.trouble)
+        writer.buffer.put_readings([reading("c", 7, 9)])
         broker.start()
         topics = await heard_later()
-        await until(lambda: pump.statistics.written == count + 1)
+        await until(lambda: writer.statistics.written == count + 1)
     assert {topic: each for topic, (each, _) in topics.items()} == retained
-    assert pump.statistics.dropped == 0
+    assert writer.statistics.dropped == 0
     assert "accepts readings again" in caplog.text
     assert "Traceback" not in caplog.text
 
@@ -175,18 +175,18 @@ def narrow(broker: Broker) -> Broker:
 
 
 @pytest.mark.parametrize("qos", [0, 1])
-async def test_a_message_on_which_the_broker_disconnects_is_dropped_and_told_by_the_pump_only(
+async def test_a_message_on_which_the_broker_disconnects_is_dropped_and_told_by_the_writer_only(
     narrow: Broker, qos: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.DEBUG)
     async with (
         hearing(narrow, "modbus/+/text") as messages,
-        pumping(Mqtt(narrow.url, qos=qos)) as pump,
+        output_writer(Mqtt(narrow.url, qos=qos)) as writer,
     ):
-        pump.buffer.put_readings([reading(*each) for each in (("a", 1, 0), ("b", "x" * 500, 1))])
-        pump.buffer.put_readings([reading(*each) for each in (("c", 1, 2), ("b", "y", 3))])
-        await until(lambda: pump.statistics.written == 3)
-        assert (pump.statistics.dropped, len(pump.buffer)) == (1, 0)
+        writer.buffer.put_readings([reading(*each) for each in (("a", 1, 0), ("b", "x" * 500, 1))])
+        writer.buffer.put_readings([reading(*each) for each in (("c", 1, 2), ("b", "y", 3))])
+        await until(lambda: writer.statistics.written == 3)
+        assert (writer.statistics.dropped, len(writer.buffer)) == (1, 0)
         await until(lambda: len({topic for topic, *_ in messages}) == 3)
     assert payloads(messages, "modbus/b/text")[-1]["value"] == "y"
     logged = [each for each in caplog.records if each.levelno >= logging.INFO]

@@ -13,13 +13,13 @@ import pytest
 
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import OutputStatistics, Reading
-from libmodbus_py.services.fleet.outputs.pump import Pump
+from libmodbus_py.services.fleet.outputs.writer import OutputWriter
 from libmodbus_py.services.workers.messages import Stream
 from tests.services.fleet.fleets import Peer, in_simulated_time, meter, simulated_run, until
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
 from tests.support.cases import each_case
-from tests.support.outputs import FakeOutput, pump_all, pumping, reading
+from tests.support.outputs import FakeOutput, output_writer, reading, write_readings
 
 LOST = ConnectionError("the connection was lost")
 
@@ -37,18 +37,20 @@ def polls(devices: str, first: int = 0) -> list[Reading]:
     ]
 
 
-async def end_of(pump: Pump) -> None:
-    await until(lambda: not pump.buffer)
+async def end_of(writer: OutputWriter) -> None:
+    await until(lambda: not writer.buffer)
 
 
-def played(output: FakeOutput, play: Callable[[Pump], Awaitable[object]]) -> OutputStatistics:
-    """Let a pump write what `play` puts into its buffer, and return the counts."""
+def played(
+    output: FakeOutput, play: Callable[[OutputWriter], Awaitable[object]]
+) -> OutputStatistics:
+    """Let a writer write what `play` puts into its buffer, and return the counts."""
 
     async def go() -> OutputStatistics:
-        async with pumping(output) as pump:
-            await play(pump)
-            await end_of(pump)
-        return pump.statistics
+        async with output_writer(output) as writer:
+            await play(writer)
+            await end_of(writer)
+        return writer.statistics
 
     return simulated_run(go())
 
@@ -56,10 +58,10 @@ def played(output: FakeOutput, play: Callable[[Pump], Awaitable[object]]) -> Out
 def write_all(output: FakeOutput, devices: str, later: str = "") -> OutputStatistics:
     """Write polls until none waits or one is refused, then `later`; return the counts."""
 
-    async def play(pump: Pump) -> None:
-        pump.buffer.put_readings(polls(devices))
-        await until(lambda: not pump.buffer or output.failed > 5)
-        pump.buffer.put_readings(polls(later))
+    async def play(writer: OutputWriter) -> None:
+        writer.buffer.put_readings(polls(devices))
+        await until(lambda: not writer.buffer or output.failed > 5)
+        writer.buffer.put_readings(polls(later))
 
     return played(output, play)
 
@@ -76,9 +78,9 @@ def test_a_poll_that_can_never_be_written_is_dropped_and_the_others_are_written(
 def test_a_poll_that_fails_for_a_moment_is_not_dropped(error: Exception, failures: int) -> None:
     output = FakeOutput(refused=("a",), error=error)
 
-    async def play(pump: Pump) -> None:
-        pump.buffer.put_readings(polls("ab"))
-        await until(lambda: pump.statistics.failures >= failures)
+    async def play(writer: OutputWriter) -> None:
+        writer.buffer.put_readings(polls("ab"))
+        await until(lambda: writer.statistics.failures >= failures)
         output.refused = ()
 
     statistics = played(output, play)
@@ -98,7 +100,7 @@ def test_an_output_that_raises_when_closed_is_opened_again() -> None:
 def test_a_poll_is_never_divided_by_the_buffer() -> None:
     output = FakeOutput()
     simulated_run(
-        pump_all(output, [reading(device, f"{at}") for device in "abc" for at in range(1200)])
+        write_readings(output, [reading(device, f"{at}") for device in "abc" for at in range(1200)])
     )
     assert {len(batch) % 1200 for batch in output.batches} == {0}
     assert len(output.accepted) == 3600
@@ -169,10 +171,10 @@ def test_an_output_that_was_away_gets_all_readings_and_the_newest_last(away: int
 def test_a_poll_that_waits_alone_is_kept() -> None:
     output = FakeOutput(refused="a", error=LOST)
 
-    async def play(pump: Pump) -> None:
-        pump.buffer.put_readings(polls("a"))
+    async def play(writer: OutputWriter) -> None:
+        writer.buffer.put_readings(polls("a"))
         await until(lambda: output.failed > 10)
-        assert pump.statistics.dropped == 0
+        assert writer.statistics.dropped == 0
         output.refused = ""
 
     played(output, play)
@@ -182,26 +184,26 @@ def test_a_poll_that_waits_alone_is_kept() -> None:
 @in_simulated_time
 async def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
     output = FakeOutput(refused="x", error=LOST, buffer=4)
-    async with pumping(output) as pump:
-        pump.buffer.put_readings(polls("x"))
+    async with output_writer(output) as writer:
+        writer.buffer.put_readings(polls("x"))
         await until(lambda: output.failed > 3)
-        pump.buffer.put_readings(polls("bcd"))
-        await end_of(pump)
+        writer.buffer.put_readings(polls("bcd"))
+        await end_of(writer)
     assert {each.device for each in output.accepted} <= set("bcd")
-    assert pump.statistics.written + pump.statistics.dropped == 8
-    assert pump.statistics.written >= 4
+    assert writer.statistics.written + writer.statistics.dropped == 8
+    assert writer.statistics.written >= 4
 
 
 def test_a_loss_after_a_refused_poll_drops_nothing() -> None:
     """That a poll was refused says nothing about the next ones, if the other side is away."""
     output = FakeOutput(refused="b", error=LOST)
 
-    async def play(pump: Pump) -> None:
-        pump.buffer.put_readings(polls("abc"))
-        await until(lambda: pump.statistics.dropped)
-        await end_of(pump)
+    async def play(writer: OutputWriter) -> None:
+        writer.buffer.put_readings(polls("abc"))
+        await until(lambda: writer.statistics.dropped)
+        await end_of(writer)
         output.next = [LOST, LOST]
-        pump.buffer.put_readings(polls("ac", first=3))
+        writer.buffer.put_readings(polls("ac", first=3))
 
     statistics = played(output, play)
     assert (statistics.written, statistics.dropped) == (8, 2)
@@ -214,11 +216,13 @@ def test_a_device_that_is_refused_again_costs_few_connections_and_no_time(device
     failed: list[int] = []
     took: list[float] = []
 
-    async def play(pump: Pump) -> None:
+    async def play(writer: OutputWriter) -> None:
         for at in range(20):
             before, start = output.failed, asyncio.get_running_loop().time()
-            pump.buffer.put_readings([reading(device, "one", 1, 100.0 + at) for device in devices])
-            await until(lambda at=at: pump.statistics.dropped == at + 1 and not pump.buffer)
+            writer.buffer.put_readings(
+                [reading(device, "one", 1, 100.0 + at) for device in devices]
+            )
+            await until(lambda at=at: writer.statistics.dropped == at + 1 and not writer.buffer)
             failed.append(output.failed - before)
             took.append(asyncio.get_running_loop().time() - start)
 
@@ -232,14 +236,14 @@ def test_a_device_that_is_refused_again_costs_few_connections_and_no_time(device
 def test_a_device_that_is_accepted_again_is_believed_again() -> None:
     output = FakeOutput(refused="b", error=LOST)
 
-    async def play(pump: Pump) -> None:
-        pump.buffer.put_readings(polls("abc"))
-        await until(lambda: pump.statistics.dropped)
+    async def play(writer: OutputWriter) -> None:
+        writer.buffer.put_readings(polls("abc"))
+        await until(lambda: writer.statistics.dropped)
         output.refused = ""
-        pump.buffer.put_readings(polls("abc", first=3))
-        await end_of(pump)
+        writer.buffer.put_readings(polls("abc", first=3))
+        await end_of(writer)
         output.refused = "b"
-        pump.buffer.put_readings(polls("abc", first=6))
+        writer.buffer.put_readings(polls("abc", first=6))
         await until(lambda: output.failed > 6)
         output.refused = ""
 
@@ -271,9 +275,9 @@ def test_a_poll_that_nats_denies_or_finds_too_large_holds_up_no_others(kind, val
         client = engine.client()
         client.max_payload = 2000
         readings = [reading("a", "one"), reading("x", "one", value, 101.0), reading("b", "one")]
-        pump = await pump_all(kind(cast(Any, client), {}), readings)
+        writer = await write_readings(kind(cast(Any, client), {}), readings)
         await client.close()
-        return pump.statistics
+        return writer.statistics
 
     statistics = simulated_run(go(), network)
     assert (statistics.written, statistics.dropped) == (2, 1)

@@ -41,7 +41,7 @@ MOST_LOSSES = 3
 MOST_OTHERS = 100
 
 
-class Pump:
+class OutputWriter:
     """Writes the readings that wait for an output, in a journal or in a buffer of its own."""
 
     def __init__(self, output: Output, *, waiting: Buffer | None = None) -> None:
@@ -71,7 +71,7 @@ class Pump:
     def start(self) -> None:
         self.task: asyncio.Task[None] = asyncio.create_task(self._run(), name=self.name)
 
-    def close_pump(self, *, is_patient: bool = False) -> None:
+    def close_writer(self, *, is_patient: bool = False) -> None:
         """
         Write the readings that wait, and end after a failure, or two seconds unless it is patient.
         """
@@ -100,7 +100,7 @@ class Pump:
             self.buffer.give_up()
 
     async def _give_readings(self) -> bool:
-        """Write readings until the output fails; return True if the pump is to end."""
+        """Write readings until the output fails; return True if the writer is to end."""
         try:
             await self._output.open_output()
             self._has_accepted = False
