@@ -443,7 +443,10 @@ Steps = list[tuple[str, str]]
 # Acts and moves that leave an answer behind which nobody awaits; and those without one in time, or
 # with one that may come after HOLD, which is twice as long as a good one takes.
 _SURPLUS = ("late", "twice", "three", "refused twice", "cancelled", "lost", "given up")
-_MISSING = ("late", "slow", "never", "lost", "swallowed", "damaged", "cancelled", "given up")
+_MISSING = (
+    *("late", "slow", "never", "lost", "swallowed", "damaged", "cancelled", "given up"),
+    *("others", "strays"),  # among whose bytes an answer may be missed
+)
 
 # The most values of other requests that follow one fault of a device, and each of several.
 MOST_WRONG, MOST_WRONG_EACH = 3, 6

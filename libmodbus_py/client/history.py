@@ -98,10 +98,11 @@ class Pair:
         answers = self._answers
         return answers.get(_asked(request)) != answer and answer in list(answers.values())
 
-    def note_time(self, size: int, took: float) -> None:
-        """Remember how many seconds an answer took."""
+    def note_time(self, size: int, took: float, *, is_sure: bool) -> None:
+        """Remember how many seconds an answer took; it was not faster if it `is_sure`."""
         slowest, fastest = self._times.get(size, (0.0, math.inf))
-        self._times[size] = max(took, FADING * slowest), min(took, fastest)
+        fastest = min(took, fastest) if is_sure else fastest
+        self._times[size] = max(took, FADING * slowest), fastest
         self.slowest = max(took, self.slowest)
 
     def hold_of(self, size: int, took: float) -> float:
@@ -111,7 +112,8 @@ class Pair:
     def is_too_fast(self, size: int, took: float) -> bool:
         """Return True if an answer took less time than those before let expect."""
         times = [self._times[size]] if size in self._times else self._times.values()
-        return took < SHARE_OF_FASTEST * min((fastest for _, fastest in times), default=0.0)
+        fastest = min((fastest for _, fastest in times), default=0.0)
+        return fastest < math.inf and took < SHARE_OF_FASTEST * fastest
 
 
 class History:

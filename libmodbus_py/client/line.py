@@ -124,6 +124,8 @@ class Line(Matching):
         # In HOLD: the answer, when it came, for how many seconds it is held, and until when.
         self._held: bytes | None = None
         self._held_at = self._held_for = self._held_until = 0.0
+        # False if the answer may be that to an earlier request, so that its time is not known.
+        self._is_sure = True
         self._history = history_of(endpoint)
         self._opened_at = 0.0
         self._is_opened = False  # the first answer since the line was opened is to come
@@ -177,6 +179,7 @@ class Line(Matching):
         adu = self._framer.encode(Frame(call.unit, call.pdu))
         self._received.clear()
         self._quiet_at = self._wrong = self._held = None
+        self._is_sure = True
         self.unasked: int = 0
         self._silence.sent(len(adu), now)
         if self._echo.is_there is None:  # of a request to which nothing came, nothing will
@@ -286,8 +289,10 @@ class Line(Matching):
             self._believe(call, pdu, now, now)
 
     def _hold(self, call: Call, pdu: bytes, now: float) -> None:
+        pair = self._pair(call, now)
         self._held, self._held_at = pdu, now
-        self._held_for = self._pair(call, now).hold_of(len(pdu), now - call.sent_at)
+        self._is_sure = not pair.is_doubted
+        self._held_for = pair.hold_of(len(pdu), now - call.sent_at)
         if self._is_opened and self._is_unknown:
             self._held_for = max(self._held_for, self._opened_at + OPENED_S - now)
         call.hold()
@@ -301,7 +306,7 @@ class Line(Matching):
         """Take an answer, and remember it."""
         pair = self._pair(call, now)
         pair.note_answer(call.pdu, pdu)
-        pair.note_time(len(pdu), came_at - call.sent_at)
+        pair.note_time(len(pdu), came_at - call.sent_at, is_sure=self._is_sure)
         pair.heard_at = now
         self._is_opened = False
         self.unanswered: int = 0
