@@ -78,7 +78,8 @@ class CsvText:
     def _find_head(self, is_known: Callable[[str], bool]) -> None:
         if any(self._rulers[:1]):
             self.delimiter = MARKDOWN
-            ruler = self._rulers[0]
+            known = [sum(map(is_known, self._markdown_cells(at - 1))) for at in self._rulers]
+            ruler = self._rulers[known.index(max(known))]
             self.head = CsvRow(ruler, self._markdown_cells(ruler - 1))
             self.skipped = sum("|" in line for line in self._lines[:ruler]) - 1
             return
@@ -91,6 +92,10 @@ class CsvText:
         if not heads:
             raise errors[0]
         _, self.head, self.skipped, self.delimiter = max(heads, key=lambda head: head[0])
+
+    def is_head(self, row: CsvRow) -> bool:
+        """Return True for the headings of a table in Markdown."""
+        return row.line in self._rulers
 
     def number_cell(self, cell: str) -> str:
         """Return a cell with a point in place of its decimal comma; WrongValue for 1,000."""

@@ -27,6 +27,9 @@ FUNCTION_TABLES = {
 }
 """Function code -> the table that it reads or writes."""
 
+BLANKS = frozenset(("-", "\u2013", "\u2014", "/", "n/a", "N/A", "none"))
+"""Cells that say nothing, but in columns whose words are free."""
+
 PADDINGS = {"space": " ", "nul": "\0"}
 """Word -> the character that it stands for in the column of paddings."""
 
@@ -46,11 +49,14 @@ def _word(meanings: Mapping[str, str]) -> Callable[[str], str]:
 def _writable(text: str) -> str:
     yes = ["yes", "y", "true", "1", "x", "w", "ja", "oui", "sí", "si", "是"]
     no = ["no", "n", "false", "0", "-", "nein", "non", "否"]
-    return _word(dict.fromkeys(yes, "read_write") | dict.fromkeys(no, "read"))(text)
+    answers = dict.fromkeys(yes, "read_write") | dict.fromkeys(no, "read")
+    return _word({**words().accesses, **answers})(text)
 
 
 def _function(text: str) -> str:
     """Return the table of "3", "03/06/16", "0x04" or "FC 3"."""
+    if table := words().tables.get(word_of(text).removeprefix("read ")):
+        return table
     tables = {FUNCTION_TABLES.get(int(code)) for code in _FUNCTION.findall(text.casefold())}
     if len(tables) != 1 or None in tables:
         choices = ", ".join(map(str, FUNCTION_TABLES))
@@ -78,7 +84,8 @@ def _names(text: str) -> dict[str, str]:
     if text.startswith("{"):
         return dict(_json(text, "a JSON object"))
     names: dict[str, str] = {}
-    for pair in text.strip("; ").split(";"):
+    between = ";" if ";" in text else _BETWEEN_STATES
+    for pair in re.split(between, text.strip("; ")):
         key, separator, name = pair.partition("=")
         if not separator or not name.strip():
             raise WrongValue((), f"must be like 0 = off; 1 = on, not {reprlib.repr(text)}")
@@ -91,13 +98,18 @@ def _names(text: str) -> dict[str, str]:
 
 
 _STATES = re.compile(r"(?<!\S)-?[0-9]+\s*=")
+_BETWEEN_STATES = r",(?=\s*-?[0-9]+\s*=)"
 
 
-_WITH_SCALE = re.compile(r"[x\xd7*]?\s*([01][.,]0*1|10+|1/10+)\s*(?=[^\W\d]|[°%µ])(.*)")
-_SCALE_BEHIND = re.compile(r".*[^\W\d]\s*[x\xd7*]\s*[01][0-9.,]*")
+# "0.1 V", "x10 (A)" and "0.01", but not "1/min".
+_SCALE = r"[0-9]+[.,][0-9]+|10+|1/10+|10\^-?[0-9]+|[0-9]+e-?[0-9]+"
+_WITH_SCALE = re.compile(rf"[x\xd7*]?\s*({_SCALE})\s*(?![0-9.,/^])\(?([^()]*)\)?", re.I)
+_SCALE_BEHIND = re.compile(rf"(.*[^\s0-9(])\s*\(?([x\xd7*\xf7/])\s*({_SCALE})\)?", re.I)
 
 
-def _units(text: str) -> str:
+def _units(text: str) -> str | None:
+    if text in BLANKS:
+        return None
     if _WITH_SCALE.fullmatch(text) or _SCALE_BEHIND.fullmatch(text):
         reason = f"{reprlib.repr(text)} has a scale: --column scale_and_units=HEADING reads 0.1 V"
         raise WrongValue((), f"{reason}, or write it in a column of its own")
@@ -107,8 +119,23 @@ def _units(text: str) -> str:
 def _scale_and_units(text: str) -> dict[str, Any]:
     """Return the scale and the units of "0.1 V", or the units of "V"."""
     if match := _WITH_SCALE.fullmatch(text):
-        return {"scale": number_in(match[1].replace(",", ".")), "units": match[2]}
-    return {"units": _units(text)}
+        number, units, is_divisor = match[1], match[2].strip(), False
+    elif match := _SCALE_BEHIND.fullmatch(text):
+        units, number, is_divisor = match[1], match[3], match[2] in "\xf7/"
+    else:
+        return {"units": _units(text)}
+    base, _, power = number.casefold().replace(",", ".").partition("^")
+    scale = number_in(f"1e{power}" if power else base)
+    return {"scale": 1 / scale if is_divisor else scale, "units": units or None}
+
+
+def factor_in(text: str) -> int | float:
+    """Return the number of "0.1" or "x 0.1", and the inverse of that of "\xf7 10"."""
+    match = re.fullmatch(r"([x\xd7*\xf7:/])\s*(.*)", text, re.IGNORECASE)
+    if match is None:
+        return number_in(text)
+    number = number_in(match[2])
+    return number if match[1] in "xX\xd7*" else number_in(f"1/{match[2]}")
 
 
 def _exponent(text: str) -> int:
@@ -160,6 +187,7 @@ READERS: dict[str, Callable[[str], Any]] = {
         {"states": _names(text)} if _STATES.match(text) else {"units": _units(text)}
     ),
     "scale_and_units": _scale_and_units,
+    "scale": factor_in,
     "exponent": _exponent,
     "negative_exponent": lambda text: -_exponent(text),
     "formula": _formula,
@@ -182,6 +210,7 @@ READERS: dict[str, Callable[[str], Any]] = {
 # --- addresses ---------------------------------------------------------------------------
 
 _RANGE = re.compile(r"(.+?)\s*(?:-|\u2013|~|\.\.+|\bto\b|,|;)\s*(.+)")
+_TWO_BASES = re.compile(r"(0x[0-9A-Fa-f]+)\s*\(([0-9]+)\)")  # 0xF300 (62208)
 _WITH_TABLE = re.compile(r"([134])[x:]0*([1-9][0-9]{0,4})")
 
 
@@ -192,6 +221,8 @@ def address_in(cell: str, base: int, *, is_reference: bool) -> tuple[str, int, i
         if last[1] < first[1]:
             raise WrongValue((), f"must rise: {reprlib.repr(cell)}")
         return first[0], first[1], last[1] - first[1] + 1
+    if (pair := _TWO_BASES.fullmatch(cell)) and int(pair[1], 16) == int(pair[2]):
+        cell = pair[2]
     if match := _WITH_TABLE.fullmatch(cell.casefold()):
         table, address = parse_reference(f"{match[1]}{match[2]:0>5}")
         return table, address, None
@@ -297,12 +328,13 @@ def find_columns(
             ignored.append(heading)
         else:
             both = f"columns {columns[kind].heading} and {heading} both hold the {kind}"
-            raise error(f"{both}: say which, as in {_option(kind, heading)}")
+            raise error(f"{both}: say which, as in {option_for(kind, heading)}")
     for key in ("name", "address"):
         if key not in columns:
             usual = [word for word, meaning in words().headings.items() if meaning == key]
             some = ", ".join(usual[:MOST_NAMED])
-            raise error(f"no column {key}; it may be called {some} ...")
+            said = f"--column {key}=HEADING says which it is"
+            raise error(f"no column {key}; it may be called {some} ...; {said}")
     return columns, ignored
 
 
@@ -316,7 +348,7 @@ def _kind(
         if text in origin.columns:
             return origin.columns[text] or None
         kind = HEADINGS_OF_KINDS.get(text, words().headings.get(text))
-        if kind in option.headings:
+        if kind is not None and kind.split("_hex")[0].split("_dec")[0] in option.headings:
             return None  # another column is said to hold it
         if kind is not None:
             return kind
@@ -326,7 +358,7 @@ def _kind(
         if not choices.keys().isdisjoint(option.headings):
             return None
         meanings = ", or ".join(
-            f"{_option(kind, heading)} if {text}" for kind, text in choices.items()
+            f"{option_for(kind, heading)} if {text}" for kind, text in choices.items()
         )
         raise error(f"column {heading} has two meanings: say {meanings}")
     kinds_of_parts = words().alarming
@@ -335,12 +367,12 @@ def _kind(
     parts += [part for part in kinds_of_parts if not part.isascii() and part in word]
     kinds = [kinds_of_parts[part] for part in parts if part in kinds_of_parts]
     if kinds and word not in words().harmless and kinds[0] not in option.headings:
-        advice = f"{_option(kinds[0], heading)}, or {_option(NOTHING, heading)} to ignore it"
+        advice = f"{option_for(kinds[0], heading)}, or {option_for(NOTHING, heading)} to ignore it"
         raise error(f"column {heading} is not known: say {advice}")
     return None
 
 
-def _option(kind: str, heading: str) -> str:
+def option_for(kind: str, heading: str) -> str:
     """Return the option that says what a heading means."""
     return f"--column {kind}={heading}" if " " not in heading else f"--column '{kind}={heading}'"
 

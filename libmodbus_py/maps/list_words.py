@@ -23,6 +23,7 @@ from ..files.schema import keys_of
 from ..protocol.checks import integer
 from ..protocol.mistakes import WrongType, WrongValue, close_to, inside, named_arguments
 from ..protocol.pdu.request import store
+from ..protocol.values import value_type
 from ..protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, plain, type_named
 from .point_checks import ACCESSES, BYTES
 
@@ -216,6 +217,11 @@ def options_of(content: Mapping[str, Any]) -> ListOptions:
 
 # --- types -------------------------------------------------------------------------------
 
+# The codes of Python's struct, in which capitals differ.
+_CODES = {
+    ">h": "int16", ">H": "uint16", ">i": "int32", ">I": "uint32", ">l": "int32", ">L": "uint32",
+    ">q": "int64", ">Q": "uint64", ">f": "float32", ">d": "float64",
+}  # fmt: skip
 _WITH_ORDER = re.compile("(.+?) ?(abcd|cdab|badc|dcba|ab|ba)")
 _ORDERS = {"ab": "ABCD", "ba": "DCBA"}
 _TEXT = re.compile(r"(?:string|str|char|chars|ascii|text|utf8|字符串) ?:? ?([0-9]{1,9})")
@@ -234,7 +240,7 @@ def type_keys(
     if meaning is None and (length := _TEXT.fullmatch(word)):
         return {"type": f"string:{_text_size(int(length[1]), cell, options, registers, size)}"}
     if meaning is None:
-        meaning = _meaning(word)
+        meaning = _meaning(cell)
     if meaning is None and (parts := _WITH_ORDER.fullmatch(word)):
         order = _ORDERS.get(parts[2], parts[2].upper())
         meaning = f"{_meaning(parts[1])} {order}" if _meaning(parts[1]) else None
@@ -255,8 +261,33 @@ def type_keys(
     return keys
 
 
-def _meaning(word: str) -> str | None:
-    return TYPE_WORDS.get(word) or type_named(word) or words().types.get(word)
+def _meaning(cell: str) -> str | None:
+    word = word_of(cell)
+    meaning = TYPE_WORDS.get(word) or type_named(word) or words().types.get(word)
+    return meaning or _CODES.get(cell)
+
+
+def width_of(cell: str) -> int | None:
+    """Return the registers of a value of a type; None if its word has not one meaning."""
+    meaning = _meaning(cell)
+    return None if meaning is None else value_type(meaning.split()[0]).registers
+
+
+_POWERS = re.compile("1|0[.,]0*1|10{1,4}|1/10{1,4}")
+
+
+def kind_of_cells(cells: set[str]) -> str | None:
+    """Return the kind of a column whose cells are all words of it; None if they are not."""
+    texts = [word_of(cell) for cell in cells]
+    kinds: dict[str, Iterable[object]] = {
+        "table": map(words().tables.get, texts),
+        "type": map(_meaning, cells),
+        "access": map(words().accesses.get, texts),
+        "order": map(ORDER_WORDS.get, texts),
+        "scale": map(_POWERS.fullmatch, cells),
+    }
+    has_meaning = cells and cells != {"1"}
+    return next((kind for kind, meanings in kinds.items() if has_meaning and all(meanings)), None)
 
 
 def _text_size(

@@ -9,6 +9,7 @@ is not known, are mistakes, which name the option that says what is meant.
 from __future__ import annotations
 
 import re
+import reprlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -20,13 +21,17 @@ from ..protocol.mistakes import Path, WrongValue, inside
 from ..protocol.values import value_type
 from ..protocol.words import plain
 from .list_cells import (
+    BLANKS,
     HEADINGS_OF_KINDS,
     KEYS,
+    NOTHING,
     RAW,
     READERS,
     SaidColumns,
     address_in,
+    factor_in,
     find_columns,
+    option_for,
     without_base,
 )
 from .list_words import (
@@ -35,11 +40,16 @@ from .list_words import (
     REFERENCE,
     ListOptions,
     flat_rows,
+    kind_of_cells,
     type_keys,
+    width_of,
     word_of,
     words,
 )
 from .scaling import Scaling
+
+FREE = frozenset(("name", "description", "writable", "initial", "bits", "states"))
+"""Kinds of columns in whose cells a dash means something."""
 
 LAST_OF_BYTE = {"int8": -128, "uint8": 255}
 """Type that SunSpec lacks -> what it would take for no value."""
@@ -99,6 +109,7 @@ class RegisterList:
         self._first_address = self._options.first_address  # address 0 as the list calls it
         if self._first_address is None and self._tells_table:
             self._first_address = self._origin.first_address
+        self._check_ignored(ignored)
         self._check_addresses()
         self._check_offsets()
         self._names = self._read_names()
@@ -150,14 +161,23 @@ class RegisterList:
                 reason = f"column {device.heading} has several devices, {some}"
                 raise self._error(f"{reason}: say one, as in {example}")
         count = 0
+        said = {word_of(heading): kind for kind, heading in self._said.headings.items()}
+        meanings = words().headings | said
+        is_of_other = False
         for row in rows:
-            kinds = {words().headings.get(word_of(cell), word_of(cell)) for cell in row.cells}
+            kinds = {meanings.get(word_of(cell), word_of(cell)) for cell in row.cells}
             if row.cells == self._text.head.cells:
+                is_of_other = False
                 self.notes.append(f"the headings stand in line {row.line} again")
                 continue
             if kinds.issuperset(("name", "address")):
                 reason = "has other headings: a list has one table"
                 raise MapError((), reason, place=FilePlace(line=row.line))
+            if self._text.is_head(row):
+                is_of_other = True
+                self.notes.append(f"the table in line {row.line} has other headings: not read")
+            if is_of_other:
+                continue
             if all(_cell(row, at) == value for at, value in filters.items()) and any(
                 _cell(row, column.at) for column in self._columns.values()
             ):
@@ -165,6 +185,29 @@ class RegisterList:
                 yield row
         if filters and not count:
             raise self._error(f"no row has {dict(self._options.only)}")
+
+    def _check_ignored(self, ignored: list[str]) -> None:
+        """Refuse a column whose heading means nothing, and whose cells would change values."""
+        heads = [" ".join(cell.split()) for cell in self._text.head.cells]
+        for heading in ignored:
+            at = heads.index(heading)
+            cells = {cell for row in self._rows if (cell := _cell(row, at)) and cell not in BLANKS}
+            kind = kind_of_cells(cells)
+            if kind and kind not in self._columns and word_of(heading) not in self._said.ignored:
+                example = reprlib.repr(next(iter(sorted(cells))))
+                reason = f"column {heading} may hold the {kind}, as it has {example}"
+                advice = f"{option_for(kind, heading)}, or {option_for(NOTHING, heading)}"
+                raise self._error(f"{reason}: say {advice} to ignore it")
+        count = self._columns.get("count")
+        if count is not None and "count" not in self._said.headings and "type" in self._columns:
+            at = self._columns["type"].at
+            widths = {(_cell(row, count.at), width_of(_cell(row, at))) for row in self._rows}
+            if all(number == str(width) for number, width in widths) and widths != {("1", 1)}:
+                options = (option_for(kind, count.heading) for kind in ("registers", "count"))
+                advice = " or ".join(options)
+                raise self._error(
+                    f"column {count.heading} may count registers or values: say {advice}"
+                )
 
     def _check_addresses(self) -> None:
         """Refuse addresses that may count from 0 or from 1, or be references."""
@@ -186,8 +229,9 @@ class RegisterList:
             raise self._error(f"{reason}: say --list first_address=0, =1 or =reference")
         cells = [_cell(row, column.at) for row in self._rows]
         numbers = [int(cell) for cell in cells if re.fullmatch("[0-9]{5}", cell)]
-        if cells and len(numbers) == len(cells) and 30001 <= min(numbers) <= max(numbers) <= 49999:
-            reason = f"column {column.heading} may have references, such as {numbers[0]}"
+        references = [number for number in numbers if 30001 <= number <= 49999]
+        if 2 * len(references) >= len(cells) > 0:
+            reason = f"column {column.heading} may have references, such as {references[0]}"
             raise self._error(f"{reason}: say --list first_address=0 or =reference")
 
     def _check_offsets(self) -> None:
@@ -197,7 +241,7 @@ class RegisterList:
             return
         cells = [(_cell(row, at), _cell(row, offset.at)) for row in self._rows]
         pairs = {int(one) - int(two) for one, two in cells if one.isdecimal() and two.isdecimal()}
-        if len(pairs) == 1 and len(cells) > 2 and all(two.isdecimal() for _, two in cells):
+        if len(pairs) == 1 and len(cells) > 1 and all(two.isdecimal() for _, two in cells):
             reason = f"column {offset.heading} rises with the addresses: say --column"
             raise self._error(f"{reason} nothing={offset.heading} or offset={offset.heading}")
 
@@ -231,6 +275,7 @@ class RegisterList:
             kind: cells[column.at]
             for kind, column in self._columns.items()
             if column.at < len(cells) and cells[column.at]
+            if kind in FREE or cells[column.at] not in BLANKS
         }
         keys: dict[str, Any] = {}
         for kind, text in texts.items():
@@ -250,7 +295,7 @@ class RegisterList:
         if kind == "access" and word_of(text) in self._origin.accesses:
             return self._origin.accesses[word_of(text)]
         read = READERS[kind]
-        is_number = read is number_in or kind == "initial"
+        is_number = read in (number_in, factor_in) or kind == "initial"
         return read(self._text.number_cell(text) if is_number else text)
 
     def _settle_address(self, keys: dict[str, Any], texts: Mapping[str, str]) -> None:
