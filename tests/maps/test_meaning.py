@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from libmodbus_py import NoValue, Point, RegisterMap
-from libmodbus_py.maps.meaning import DecodedValue
+from libmodbus_py.maps.meaning import DecodedValue as Value
 from libmodbus_py.maps.point_plan import scale_mistakes, sources_of
 from tests.support.cases import each_case
 from tests.support.golden import Refused
@@ -23,9 +23,9 @@ def point(name: str = "it", **keys: Any) -> Point:
     return Point(**{"name": name, "table": H, "address": 0, **keys})
 
 
-MISSING = DecodedValue(None, "bad", "Missing")
-IMPLAUSIBLE = DecodedValue(None, "bad", "Implausible")
-INVALID = DecodedValue(None, "bad", "InvalidData")
+MISSING = Value(None, "bad", "Missing")
+IMPLAUSIBLE = Value(None, "bad", "Implausible")
+INVALID = Value(None, "bad", "InvalidData")
 
 # "Not implemented" of each type as the SunSpec Device Information Model Specification has it.
 SUNSPEC = [
@@ -53,105 +53,87 @@ def test_not_implemented_of_sunspec_is_no_value(type: str, cells: list[int]) -> 
 # Keys of a point, its cells, and what they mean.
 MEANT = [
     ({"missing": 0xFFFF, "scale": 0.1}, [0xFFFF], MISSING),
-    ({"missing": 0xFFFF, "scale": 0.1}, [0xFFFE], DecodedValue(6553.4)),
+    ({"missing": 0xFFFF, "scale": 0.1}, [0xFFFE], Value(6553.4)),
     ({"missing": [0, 65535]}, [0], MISSING),
     ({"missing": 0x8000, "type": "int16"}, [0x8000], MISSING),
     ({"missing": -32768, "type": "int16"}, [0x8000], MISSING),
     ({"missing": 0, "type": "uint32"}, [0, 0], MISSING),
     ({"missing": -9999.9, "type": "float32"}, [0xC61C, 0x3F9A], MISSING),
-    ({"type": "float32"}, [0x4366, 0x199A], DecodedValue(230.1)),
-    ({"type": "float32", "order": "CDAB"}, [0x199A, 0x4366], DecodedValue(230.1)),
-    ({"type": "float32", "scale": 0.1}, [0x4366, 0x199A], DecodedValue(23.01)),
-    ({"type": "float32", "offset": -0.1}, [0x4366, 0x199A], DecodedValue(230)),
-    ({"type": "float16"}, [0x5B31], DecodedValue(230.1)),
+    ({"type": "float32"}, [0x4366, 0x199A], Value(230.1)),
+    ({"type": "float32", "order": "CDAB"}, [0x199A, 0x4366], Value(230.1)),
+    ({"type": "float32", "scale": 0.1}, [0x4366, 0x199A], Value(23.01)),
+    ({"type": "float32", "offset": -0.1}, [0x4366, 0x199A], Value(230)),
+    ({"type": "float16"}, [0x5B31], Value(230.1)),
     ({"missing": 0, "type": "unix32"}, [0, 0], MISSING),
     ({"missing": 3, "bit": "4..7"}, [0x3A], MISSING),
-    ({"missing": 65535, "count": 2}, [65535, 7], DecodedValue([None, 7], "good", "Missing")),
-    ({"missing": 65535, "count": 2}, [65535, 65535], DecodedValue([None, None], "bad", "Missing")),
-    ({"plausible_maximum": 300, "scale": 0.1}, [3000], DecodedValue(300)),
+    ({"missing": 65535, "count": 2}, [65535, 7], Value([None, 7], "good", "Missing")),
+    ({"missing": 65535, "count": 2}, [65535, 65535], Value([None, None], "bad", "Missing")),
+    ({"plausible_maximum": 300, "scale": 0.1}, [3000], Value(300)),
     ({"plausible_maximum": 300, "scale": 0.1}, [3001], IMPLAUSIBLE),
     ({"plausible_minimum": -5, "type": "int16"}, [0xFFFA], IMPLAUSIBLE),
     ({"plausible_minimum": 1, "type": "float32"}, [0x7FC0, 0], MISSING),
-    ({"plausible_minimum": 1, "type": "float32"}, [0x7F80, 0], DecodedValue(math.inf)),
+    ({"plausible_minimum": 1, "type": "float32"}, [0x7F80, 0], Value(math.inf)),
     ({"plausible_maximum": 1, "type": "float32"}, [0x7F80, 0], IMPLAUSIBLE),
-    ({"states": {0: "off", 1: "on"}}, [1], DecodedValue("on")),
-    ({"states": {0: "off", 1: "on"}}, [2], DecodedValue(2)),
-    ({"states": {"-1": "none", "0x10": "much"}, "type": "int16"}, [0xFFFF], DecodedValue("none")),
+    ({"states": {0: "off", 1: "on"}}, [1], Value("on")),
+    ({"states": {0: "off", 1: "on"}}, [2], Value(2)),
+    ({"states": {"-1": "none", "0x10": "much"}, "type": "int16"}, [0xFFFF], Value("none")),
     ({"states": {0: "off", 1: "on"}, "missing": 255}, [255], MISSING),
-    ({"states": {0: "off", "1..5": "on", "else": "?"}}, [5], DecodedValue("on")),
-    ({"states": {0: "off", "1..5": "on", "else": "?"}}, [6], DecodedValue("?")),
-    ({"states": {0: "off", "1..5": "on", 3: "hot"}}, [3], DecodedValue("hot")),
-    ({"states": {0: "off", "1..5": "on", 3: "hot"}}, [6], DecodedValue(6)),
-    ({"states": {1: "on", 2: "on", "0x10..": "on"}}, [0xFFFF], DecodedValue("on")),
-    (
-        {"states": {"..-1": "below", "0..": "above"}, "type": "int16"},
-        [0xFFFF],
-        DecodedValue("below"),
-    ),
-    (
-        {"states": {1.5: "half", "2..2.5": "more"}, "type": "float32"},
-        [0x3FC0, 0],
-        DecodedValue("half"),
-    ),
-    (
-        {"states": {"0.1": "a", "0.2..": "b"}, "type": "float32"},
-        [0x3DCC, 0xCCCD],
-        DecodedValue("a"),
-    ),
-    (
-        {"states": {"0.1": "a", "..0.2": "b"}, "type": "float32"},
-        [0x3E4C, 0xCCCD],
-        DecodedValue("b"),
-    ),
-    ({"states": {1: "a"}, "type": "float32", "order": "CDAB"}, [0, 0x3F80], DecodedValue("a")),
+    ({"states": {0: "off", "1..5": "on", "else": "?"}}, [5], Value("on")),
+    ({"states": {0: "off", "1..5": "on", "else": "?"}}, [6], Value("?")),
+    ({"states": {0: "off", "1..5": "on", 3: "hot"}}, [3], Value("hot")),
+    ({"states": {0: "off", "1..5": "on", 3: "hot"}}, [6], Value(6)),
+    ({"states": {1: "on", 2: "on", "0x10..": "on"}}, [0xFFFF], Value("on")),
+    ({"states": {"..-1": "below", "0..": "above"}, "type": "int16"}, [0xFFFF], Value("below")),
+    ({"states": {1.5: "half", "2..2.5": "more"}, "type": "float32"}, [0x3FC0, 0], Value("half")),
+    ({"states": {"0.1": "a", "0.2..": "b"}, "type": "float32"}, [0x3DCC, 0xCCCD], Value("a")),
+    ({"states": {"0.1": "a", "..0.2": "b"}, "type": "float32"}, [0x3E4C, 0xCCCD], Value("b")),
+    ({"states": {1: "a"}, "type": "float32", "order": "CDAB"}, [0, 0x3F80], Value("a")),
     ({"states": {"0": "a", "else": "b"}, "type": "float32"}, [0x7FC0, 0], MISSING),
-    ({"states": {0: "shut", "else": "open"}, "table": "coils"}, [True], DecodedValue("open")),
-    ({"states": {"0..7": "low", "else": "high"}, "byte": "low"}, [0x1208], DecodedValue("high")),
-    ({"states": {0: "shut", 1: "open"}, "table": "coils"}, [True], DecodedValue("open")),
-    ({"states": {0: "shut", 1: "open"}, "bit": 3}, [8], DecodedValue("open")),
-    ({"bits": {0: "door", "4..7": "mode"}}, [0x51], DecodedValue({"door": True, "mode": 5})),
+    ({"states": {0: "shut", "else": "open"}, "table": "coils"}, [True], Value("open")),
+    ({"states": {"0..7": "low", "else": "high"}, "byte": "low"}, [0x1208], Value("high")),
+    ({"states": {0: "shut", 1: "open"}, "table": "coils"}, [True], Value("open")),
+    ({"states": {0: "shut", 1: "open"}, "bit": 3}, [8], Value("open")),
+    ({"bits": {0: "door", "4..7": "mode"}}, [0x51], Value({"door": True, "mode": 5})),
     ({"bits": {31: "top", 0: "low"}, "type": "uint32"}, [0x8000, 0],
-     DecodedValue({"top": True, "low": False})),
+     Value({"top": True, "low": False})),
     ({"bits": {0: "a"}, "type": "bits16", "missing": "sunspec"}, [0xFFFF], MISSING),
-    ({"bit": 3}, [8], DecodedValue(True)),
-    ({"bit": 3}, [0xFFF7], DecodedValue(False)),
-    ({"bit": "4..7"}, [0x1234], DecodedValue(3)),
-    ({"bit": "4..7", "scale": 0.5}, [0x1234], DecodedValue(1.5)),
-    ({"bit": 8, "order": "BADC"}, [1], DecodedValue(True)),
-    ({"byte": "high"}, [0x1234], DecodedValue(0x12)),
-    ({"byte": "low"}, [0x1234], DecodedValue(0x34)),
-    ({"byte": "low", "type": "int16"}, [0x12FE], DecodedValue(-2)),
-    ({"type": "int8"}, [0x12FE], DecodedValue(-2)),
-    ({"type": "uint8", "order": "BADC"}, [0x12FE], DecodedValue(0x12)),
-    ({"type": "uint8", "byte": "high", "scale": 0.5}, [0x1234], DecodedValue(9)),
+    ({"bit": 3}, [8], Value(True)),
+    ({"bit": 3}, [0xFFF7], Value(False)),
+    ({"bit": "4..7"}, [0x1234], Value(3)),
+    ({"bit": "4..7", "scale": 0.5}, [0x1234], Value(1.5)),
+    ({"bit": 8, "order": "BADC"}, [1], Value(True)),
+    ({"byte": "high"}, [0x1234], Value(0x12)),
+    ({"byte": "low"}, [0x1234], Value(0x34)),
+    ({"byte": "low", "type": "int16"}, [0x12FE], Value(-2)),
+    ({"type": "int8"}, [0x12FE], Value(-2)),
+    ({"type": "uint8", "order": "BADC"}, [0x12FE], Value(0x12)),
+    ({"type": "uint8", "byte": "high", "scale": 0.5}, [0x1234], Value(9)),
     ({"type": "int8", "missing": 0x80}, [0x1280], MISSING),
     ({"type": "int24", "missing": 0x80_0000}, [0x0080, 0], MISSING),
     ({"type": "mod10k32", "missing": 0x8000_8000, "scale": 0.1}, [0x8000, 0x8000], MISSING),
     ({"type": "sbcd16", "missing": 0xFFFF}, [0xFFFF], MISSING),
     ({"type": "sbcd16", "missing": -1}, [0xF001], MISSING),
-    ({"type": "uint48", "bit": 47, "order": "CDAB"}, [0, 0, 0x8000], DecodedValue(True)),
+    ({"type": "uint48", "bit": 47, "order": "CDAB"}, [0, 0, 0x8000], Value(True)),
     ({"type": "y2k32", "missing": 0}, [0, 0], MISSING),
-    ({"type": "iec870"}, [0xFFFF] * 4, DecodedValue(None, "bad", "InvalidTime")),
+    ({"type": "iec870"}, [0xFFFF] * 4, Value(None, "bad", "InvalidTime")),
     ({"type": "bcd16"}, [0x000F], INVALID),
     ({"type": "bcd16", "scale": 0.1}, [0xFFFF], INVALID),
-    ({"type": "bcd16", "count": 2}, [0x12, 0xA0], DecodedValue([12, None], "good", "InvalidData")),
+    ({"type": "bcd16", "count": 2}, [0x12, 0xA0], Value([12, None], "good", "InvalidData")),
     ({"type": "bcd16", "missing": 0xFFFF}, [0xFFFF], MISSING),
     ({"type": "bcd16", "missing": [0xFFFF, 9999]}, [0x9999], MISSING),
     ({"type": "bcd16", "missing": [0xFFFF, 9999]}, [0x000F], INVALID),
     ({"type": "bcd32", "missing": 0xFFFF_FFFF, "order": "CDAB"}, [0xFFFF, 0xFFFF], MISSING),
     ({"type": "unix64", "missing": 1 << 63}, [0x8000, 0, 0, 0], MISSING),
     ({"type": "string:4"}, [0x4180, 0], INVALID),
-    ({"type": "string:4"}, [0x4100, 0x80FF], DecodedValue("A")),
+    ({"type": "string:4"}, [0x4100, 0x80FF], Value("A")),
     ({"type": "string:4", "missing": "sunspec"}, [0x0041, 0xFF00], MISSING),
-    ({"type": "unix32"}, [0, 60], DecodedValue(datetime(1970, 1, 1, 0, 1, tzinfo=UTC))),
-    ({"type": "int16", "scale_from": "sf"}, [5], DecodedValue(None, "bad", "BadScale")),
+    ({"type": "unix32"}, [0, 60], Value(datetime(1970, 1, 1, 0, 1, tzinfo=UTC))),
+    ({"type": "int16", "scale_from": "sf"}, [5], Value(None, "bad", "BadScale")),
 ]  # fmt: skip
 
 
 @each_case(("keys", "cells", "judged"), MEANT)
-def test_cells_are_judged_decoded(
-    keys: dict[str, Any], cells: list[Any], judged: DecodedValue
-) -> None:
+def test_cells_are_judged_decoded(keys: dict[str, Any], cells: list[Any], judged: Value) -> None:
     point_ = point(**keys)
     assert point_.judge(cells) == judged
     assert point_.decode(cells) == judged.value

@@ -30,50 +30,7 @@ power,holding_registers,2,float32,,W,read
 reset,coils,5,,,,write
 """
 
-FLEET = """
-devices = "more.csv"
-
-[defaults]
-map = "meter.csv"
-interval = 2.5
-labels = {site = "here"}
-dead_bands = {voltage = 0.5, power = 10}
-
-[[device]]
-name = "pump"
-url = "tcp://192.0.2.7?timeout=2"
-unit = 3
-labels = {line = "A"}
-
-[[device]]
-name = "valve"
-url = "rtu:///dev/ttyUSB0?baudrate=19200"
-items = ["voltage"]
-on_change = true
-zone = "east"
-timeout = 0.5
-spacing = 0.1
-
-[[device]]
-name = "own"
-url = "udp://[::1]:1502"
-dead_bands = {level = 2}
-
-[[device.point]]
-name = "level"
-table = "input_registers"
-address = 7
-scale = 0.01
-
-[output.json]
-path = "readings.jsonl"
-
-[output.mqtt]
-url = "mqtts://192.0.2.1"
-user = "u"
-password = "${TEST_MQTT_PASSWORD}"
-commands = true
-"""
+FLEET = "\n" + Path(__file__).with_name("fleet.toml").read_text()
 
 CSV = """# a list
 name;url;unit;map;items;interval;on_change;labels.site;zone
