@@ -287,7 +287,8 @@ class Transactions:
 
     def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool = True) -> None:
         """Note the end of the connection: requests in flight fail, others wait for a new one."""
-        if by_itself and self.life.fruitless and self.in_flight:
+        was_answered = self.statistics.last_success is not None
+        if by_itself and self.life.fruitless and self.in_flight and not was_answered:
             add_hint(error, explain_end(self._scheme, error.errno))
         self.life.lost(error, now, by_itself=by_itself)
         # Some devices close connections, and may do so while a request is under way to them.

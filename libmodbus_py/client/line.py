@@ -46,8 +46,8 @@ history of a line outlives its clients (`history`).
 The silence lasts twice the time of the slowest answer that the unit ever gave, one timeout if it
 gave none. An answer is due to be checked after DOUBT, after a late frame of its unit and after one
 that took unusually long or short; then after twice as long each time, and at least once in ten
-timeouts. On a line without a history, the first
-answer is held until the line has been open for 60 ms.
+timeouts. The time of an answer that was held in DOUBT does not show how fast its unit is. On a line
+without a history, the first answer is held until the line has been open for 60 ms.
 
 A line keeps the order of requests to a unit: those behind one that waits wait, too
 (`Transactions`).

@@ -153,3 +153,14 @@ def test_tls_is_named_where_a_request_was_answered_by_the_end_of_a_new_connectio
     error = ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
     driver.lose(error, by_itself=by_itself)
     assert ("does it want tls://?" in str(error)) is is_told
+
+
+def test_tls_is_not_named_where_an_earlier_connection_was_answered() -> None:
+    driver = Driver()
+    driver.ask(1)
+    driver.come(tcp(driver.sent[0]))
+    driver.reconnect()
+    driver.ask(2)
+    error = ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
+    driver.lose(error)
+    assert str(error) == "closed by the other side"
