@@ -71,7 +71,8 @@ def _make_devices() -> None:
     _mount("none", "/", "", MS_REC | MS_PRIVATE)  # what follows is seen by nobody else
     with tempfile.TemporaryDirectory() as before:
         _mount("/dev", before, "", MS_BIND | MS_REC)
-        _mount("tmpfs", "/dev", "tmpfs")
+        # Nobody may create, as `> /dev/null` does, what is there in a folder that all may write to.
+        _mount("tmpfs", "/dev", "tmpfs", 0, "mode=755")
         for name in DEVICES:
             Path("/dev", name).touch()
             _mount(f"{before}/{name}", f"/dev/{name}", "", MS_BIND)
