@@ -12,6 +12,7 @@ import pytest
 from hypothesis import settings
 
 from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.client import ids
 from libmodbus_py.client.history import forget_lines
 from libmodbus_py.contexts import rtu
 from tests.simulation.lan import Lan
@@ -63,10 +64,11 @@ def _longest(item: pytest.Item) -> float:
 
 
 @pytest.fixture(autouse=True)
-def _own_lines() -> None:
+def _own_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     """Forget what is known of lines: another test may have the same port, or the same clock."""
     forget_lines()
     rtu._failures.clear()
+    monkeypatch.setattr(ids, "first_id", lambda: 0)  # which tests can name
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -10,6 +10,7 @@ some modems.
 from __future__ import annotations
 
 import copy
+import os
 import struct
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
@@ -23,12 +24,20 @@ if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
     from ..ports.trace import Trace
 
-__all__ = ["Ids"]
+__all__ = ["Ids", "first_id"]
 
 _MBAP = struct.Struct(">HHHB")  # with the unit
 
 # The most ids that are kept for late answers; requests need the others.
 MAX_ABANDONED = 0x8000
+
+
+def first_id() -> int:
+    """
+    Return the id before the first one, which each client takes at random: some gateways send an
+    answer to all their clients, or a late one to the newest, and all would begin with the same.
+    """
+    return int.from_bytes(os.urandom(2), "big")
 
 
 class Ids(Matching):
@@ -54,7 +63,7 @@ class Ids(Matching):
         self._any_unit = any_unit
         self._any_id = any_id
         self._is_datagram = endpoint.framing == "udp"
-        self._last = 0
+        self._last = first_id()
         self._answered_at = 0.0
         # The units that answered, where they are not those that were asked.
         self._answerers: WeakKeyDictionary[Call, int] = WeakKeyDictionary()

@@ -5,6 +5,7 @@ import random
 import pytest
 
 from libmodbus_py import FrameError, ModbusConnectionError, ModbusTimeoutError, TracedFrame, pdu
+from libmodbus_py.client.ids import first_id
 from tests.support.driver import Driver, kinds, tcp
 from tests.support.replies import exchange
 
@@ -13,6 +14,11 @@ def test_a_request_has_the_header_of_the_specification() -> None:
     driver = Driver()
     driver.ask(0x6B, unit=0x11)
     assert driver.sent == [bytes.fromhex("0001 0000 0006 11 03 006B 0001")]
+
+
+def test_ids_of_each_client_begin_elsewhere() -> None:
+    """Some gateways send each answer to all their clients, or a late one to the newest."""
+    assert len({first_id() for _ in range(20)}) > 15
 
 
 @pytest.mark.parametrize("seed", range(5))
