@@ -130,6 +130,12 @@ def test_two_faults_that_meet_shift_nothing(
     assert result.wrong_values == most
 
 
+def test_a_shift_in_which_no_time_is_unusual_ends_when_an_answer_is_checked() -> None:
+    usual = [("AB"[at % 2], "good") for at in range(5)]
+    steps = [("pause A", "twice +6"), ("B", "good"), ("A", "slower"), *usual]
+    assert run(False, True, 1, steps).errors == {"wrong", "stale"}
+
+
 @pytest.mark.parametrize("rule", [*ON_LINES, *WITH_IDS])
 def test_each_broken_rule_is_found(rule: str) -> None:
     broken = ON_LINES.get(rule) or WITH_IDS[rule]
