@@ -116,7 +116,7 @@ def test_gateways_are_measured(capsys: pytest.CaptureFixture[str]) -> None:
     gateway.beside_silent_unit(40)
     gateway.late_unit(40)
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 8
+    assert len(lines) == 10
     assert "'wrong': 0" in lines[-1]
 
 
