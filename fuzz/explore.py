@@ -493,7 +493,9 @@ def exception_for(world: World, steps: Steps, unusual: Steps) -> str | None:
         return None
     if len({*surplus, *missing}) > 1 or len(surplus) > 1:
         return "alone in HOLD"
-    is_first = not is_usual[0] or any(move == "C" and act in surplus for move, act in unusual)
+    is_first = not is_usual[0] or any(
+        move in ("C", "F") and act in surplus for move, act in unusual
+    )
     if surplus[0].startswith("late") and is_first:
         return "before the first answer"
     is_copy = surplus[0].startswith(("twice", "three", "refused twice"))
