@@ -28,7 +28,7 @@ FUNCTION_TABLES = {
 """Function code -> the table that it reads or writes."""
 
 BLANKS = frozenset(("-", "\u2013", "\u2014", "/", "n/a", "N/A", "none"))
-"""Cells that say nothing, but in columns whose words are free."""
+"""Cells that say nothing, but in some columns."""
 
 PADDINGS = {"space": " ", "nul": "\0"}
 """Word -> the character that it stands for in the column of paddings."""
@@ -107,9 +107,7 @@ _WITH_SCALE = re.compile(rf"[x\xd7*]?\s*({_SCALE})\s*(?![0-9.,/^])\(?([^()]*)\)?
 _SCALE_BEHIND = re.compile(rf"(.*[^\s0-9(])\s*\(?([x\xd7*\xf7/])\s*({_SCALE})\)?", re.I)
 
 
-def _units(text: str) -> str | None:
-    if text in BLANKS:
-        return None
+def _units(text: str) -> str:
     if _WITH_SCALE.fullmatch(text) or _SCALE_BEHIND.fullmatch(text):
         reason = f"{reprlib.repr(text)} has a scale: --column scale_and_units=HEADING reads 0.1 V"
         raise WrongValue((), f"{reason}, or write it in a column of its own")

@@ -48,8 +48,8 @@ from .list_words import (
 )
 from .scaling import Scaling
 
-FREE = frozenset(("name", "description", "writable", "initial", "bits", "states"))
-"""Kinds of columns in whose cells a dash means something."""
+FREE = frozenset(("name", "description", "group", "writable", "initial", "bits", "states"))
+"""Kinds of columns in whose cells a dash means something, as it does below the keys of maps."""
 
 LAST_OF_BYTE = {"int8": -128, "uint8": 255}
 """Type that SunSpec lacks -> what it would take for no value."""
@@ -199,7 +199,9 @@ class RegisterList:
                 advice = f"{option_for(kind, heading)}, or {option_for(NOTHING, heading)}"
                 raise self._error(f"{reason}: say {advice} to ignore it")
         count = self._columns.get("count")
-        if count is not None and "count" not in self._said.headings and "type" in self._columns:
+        # A heading in small letters is the key of a map.
+        is_said = count is None or count.heading == "count" or "count" in self._said.headings
+        if count is not None and not is_said and "type" in self._columns:
             at = self._columns["type"].at
             widths = {(_cell(row, count.at), width_of(_cell(row, at))) for row in self._rows}
             if all(number == str(width) for number, width in widths) and widths != {("1", 1)}:
@@ -275,7 +277,7 @@ class RegisterList:
             kind: cells[column.at]
             for kind, column in self._columns.items()
             if column.at < len(cells) and cells[column.at]
-            if kind in FREE or cells[column.at] not in BLANKS
+            if kind in FREE or column.heading == kind or cells[column.at] not in BLANKS
         }
         keys: dict[str, Any] = {}
         for kind, text in texts.items():
