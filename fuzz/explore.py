@@ -462,8 +462,8 @@ EXCEPTIONS: dict[str, str] = {
     "and the next answer comes later than HOLD lasts. At most three values.",
     "before the first answer": "A unit that has never answered, and then answers after a timeout "
     "of silence: this is taken for the answer to the request in flight. At most three values.",
-    "unknown times": "A unit whose first answer was late, or among bytes of others: it is taken "
-    "for faster than it is, so that its silence after the next failure is too short. No value.",
+    "unknown times": "A unit whose first answer was late, or one whose late answer comes among "
+    "bytes of others: its silence after that is too short. No value.",
     "alone in HOLD": "A late or doubled answer, and then a request that is not answered in time "
     "itself, or takes twice as long as any before: the first one is alone while it is held, and is "
     "believed. It concerns one value, or the outcome of one write, for each such pair; if no time "
@@ -483,7 +483,8 @@ def exception_for(world: World, steps: Steps, unusual: Steps) -> str | None:
         return None
     is_started = any(move.startswith("started") for move, _ in unusual)
     is_usual = [step == ("AB"[at % 2], "good") for at, step in enumerate(steps)]
-    if "doubt" in errors and is_usual[0] and not is_started:
+    is_among_others = any(move.startswith(("others", "strays")) for move, _ in unusual)
+    if "doubt" in errors and is_usual[0] and not (is_started or is_among_others):
         return None
     if errors == {"doubt"}:
         return "unknown times"
