@@ -77,6 +77,7 @@ class Ids(Matching):
         self._last = number
         if not pending:
             self._strays = b""
+            self._is_late = False
             self.unasked: int = 0
         if not call.is_silent:
             pending[number] = call
@@ -100,7 +101,7 @@ class Ids(Matching):
             call = self.pending.pop(number, None)
             if call is None:
                 if not (self._any_id and self.pending):
-                    self._drop(number, mbap(number, unit, pdu), now)
+                    self._drop(number, mbap(number, unit, pdu))
                     continue
                 _, call = self.pending.popitem()
             if call.unit == unit:
@@ -122,13 +123,15 @@ class Ids(Matching):
             self._answered_at = now
         return calls
 
-    def _drop(self, number: int, adu: bytes, now: float) -> None:
-        """Drop a frame. Late answers prove that the server is alive; stray frames do not."""
+    def _drop(self, number: int, adu: bytes) -> None:
+        """
+        Drop a frame. It does not end the count of unanswered requests, because some devices stay
+        one answer behind until there is a new connection.
+        """
         self._statistics.late_answers += 1
         if number in self._abandoned:
             del self._abandoned[number]
-            self.unanswered = 0
-            self._answered_at = now
+            self._is_late = True
         else:
             self._keep_stray(adu)
 
@@ -187,6 +190,8 @@ class Ids(Matching):
             hint = 'ids="ignore" would take it'
             error.args = (f"{error.args[0]}: id {other}, not {_number(number)}; {hint}",)
             error.answers_another = True
+        elif self._is_late:
+            error.args = (f"{error.args[0]}, but that to an earlier request; a longer timeout=?",)
         return error
 
     def withdraw(self, call: Call, now: float) -> bool:
@@ -208,6 +213,7 @@ class Ids(Matching):
         self._begin_again(self._framer.rest)
         self._abandoned: dict[int, None] = {}
         self._strays = b""
+        self._is_late = False  # an answer to an earlier request came
         return calls
 
 

@@ -99,14 +99,12 @@ def test_cancelled_requests_count_as_unanswered() -> None:
     assert driver.connection.broken is not None
 
 
-@pytest.mark.parametrize("life", ["its answer", "a late answer", "another's answer", "a refusal"])
+@pytest.mark.parametrize("life", ["its answer", "another's answer", "a refusal"])
 def test_any_sign_of_life_starts_the_count_anew(life: str) -> None:
     driver = Driver(timeout=1)
     for _ in range(2):
         time_out(driver)
-    if life == "a late answer":
-        driver.come(answer(driver, 0))
-    elif life == "another's answer":
+    if life == "another's answer":
         driver.ask(2, unit=9)
         driver.come(answer(driver))
     else:
@@ -116,6 +114,18 @@ def test_any_sign_of_life_starts_the_count_anew(life: str) -> None:
         time_out(driver)
     driver.ask(1)
     assert driver.connection.broken is None
+
+
+def test_a_device_that_stays_one_answer_behind_gets_a_new_connection() -> None:
+    driver = Driver(timeout=1)
+    for number in range(3):
+        batch = driver.ask(1)
+        if number:
+            driver.come(answer(driver, number - 1))
+        driver.wait(1)
+    assert "but that to an earlier request; a longer timeout=?" in str(batch.outcomes[0])
+    driver.ask(1)
+    assert driver.connection.broken is not None
 
 
 def test_an_answer_to_nobody_is_no_sign_of_life() -> None:

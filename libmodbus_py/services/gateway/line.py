@@ -20,6 +20,7 @@ from typing import Any, Protocol
 from ...client.asynchronous import AsyncClient
 from ...client.reconnecting import State
 from ...client.sender import Sender
+from ...device.authorization import LimitedLog
 from ...ports.endpoint import Endpoint
 from ...ports.port import Outage
 from ...protocol import errors, pdu
@@ -219,6 +220,7 @@ class GatewayLine(SharedLine[ForwardedRequest]):
         # Reads that others may join while they wait.
         self._joinable: dict[tuple[int, bytes], ForwardedRequest] = {}
         self._outage = Outage(logger, self.url)
+        self._log = LimitedLog(logger)
         self._open_since = 0.0
 
     # --- requests -----------------------------------------------------------------------------
@@ -333,7 +335,7 @@ class GatewayLine(SharedLine[ForwardedRequest]):
             self._refuse(job, outcome.code)
         else:
             if self._count_failure(job, outcome, now) or job.is_trial:
-                self._note_silence(job, now)
+                self._note_silence(job, now, f": {outcome.args[0]}" if outcome.args else "")
             is_ours = not isinstance(outcome, ModbusError)
             self._refuse(job, errors.ServerDeviceFailure.code if is_ours else NO_ANSWER)
 
@@ -363,13 +365,14 @@ class GatewayLine(SharedLine[ForwardedRequest]):
             return now - max(forwarded.asked_at, self._open_since) >= self.client.timeout / 2
         if isinstance(error, errors.FrameError | errors.InvalidResponse):
             forwarded.counters.invalid += 1
+            self._log.warning("%s: unit %d: %s", self.url, forwarded.unit, error.args[0])
         elif isinstance(error, errors.ModbusConnectionError):
             forwarded.counters.lost += 1
         else:
             logger.error("%s: %s failed", self.url, forwarded.request, exc_info=error)
         return False
 
-    def _note_silence(self, silent: ForwardedRequest, now: float) -> None:
+    def _note_silence(self, silent: ForwardedRequest, now: float, reason: str = "") -> None:
         """Let what gave no answer rest, and refuse the requests that wait for it."""
         unit, function = silent.unit, silent.request.function
         if self._is_broadcast(silent):
@@ -378,7 +381,7 @@ class GatewayLine(SharedLine[ForwardedRequest]):
         is_whole = self._silent.rests(unit)
         if is_new:
             what = "" if is_whole else f" function {function}"
-            logger.info("%s: unit %d does not answer%s", self.url, unit, what)
+            logger.info("%s: unit %d does not answer%s%s", self.url, unit, what, reason)
         self.statistics.unit(unit).is_silent = is_whole
         for forwarded in [*self.others(), *self.in_flight]:
             is_same = forwarded.unit == unit and (

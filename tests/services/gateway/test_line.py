@@ -28,7 +28,7 @@ TOLD = "libmodbus_py.services.gateway"
 
 def logged(caplog: pytest.LogCaptureFixture) -> list[str]:
     """Return what was logged, without the names of lines."""
-    return [text.rpartition(": ")[2] for text in caplog.messages]
+    return [text.partition(": ")[2] for text in caplog.messages]
 
 
 @on_line()
@@ -54,7 +54,18 @@ async def test_a_silent_unit_rests_and_is_tried_by_one_request(plant: Plant, cap
     await asyncio.sleep(1)
     assert first.answers[1:] == [answer_of(9, 2)]
     assert not plant.unit(9).is_silent
-    assert logged(caplog) == ["unit 9 does not answer", "unit 9 answers again"]
+    assert logged(caplog) == [
+        f"unit 9 does not answer: no answer within {TIMEOUT:g} s",
+        "unit 9 answers again",
+    ]
+
+
+@on_line()
+async def test_a_refused_response_is_logged_with_its_reason(plant: Plant, caplog) -> None:
+    plant.damaging.add(9)
+    plant.ask(9, Asker())
+    await asyncio.sleep(1)
+    assert logged(caplog) == ["unit 9: bytes without a fitting CRC"]
 
 
 @on_line("tcp://10.0.0.1?timeout=0.5")
@@ -103,8 +114,8 @@ async def test_a_unit_that_answers_nothing_rests(plant: Plant, caplog) -> None:
     await asyncio.sleep(1)
     assert asker.answers[-1] == "0800000001"
     assert logged(caplog) == [
-        "unit 9 does not answer function 8",
-        "unit 9 does not answer",
+        f"unit 9 does not answer function 8: no answer within {TIMEOUT:g} s",
+        f"unit 9 does not answer: no answer within {TIMEOUT:g} s",
         "unit 9 answers again",
     ]
 
