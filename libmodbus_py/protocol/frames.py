@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Literal, NamedTuple
 
+from . import pdu
 from .errors import MAX_RECEIVED, FrameError
 from .scan import MAX_PDU
 
@@ -247,8 +248,8 @@ class TcpFramer(Framer):
     the next frame is unknown, so that every later call raises a FrameError.
 
     Args:
-        role: "client" if it receives responses: an exception is then taken without the byte that
-            some devices count too much in its header, if nothing more has come.
+        role: "client" if it receives responses: one is then taken without the byte that some
+            devices count too much in its header, if nothing more has come.
     """
 
     has_broadcast = False
@@ -288,7 +289,7 @@ class TcpFramer(Framer):
             self.in_step = False
             add_error(self._results, error)
             self.rest.clear()
-        if self._is_client and _is_short_exception(self.rest):
+        if self._is_client and _is_whole_response(self.rest):
             self._results.append(_frame(self.rest))
             self.rest.clear()
 
@@ -309,15 +310,18 @@ class UdpFramer(TcpFramer):
             if cut(datagram, 0, results, 1) == len(datagram):
                 self._results += results
                 return
-        if self._is_client and _is_short_exception(datagram):
+        if self._is_client and _is_whole_response(datagram):
             self._results.append(_frame(datagram))
             return
         self._results.append(FrameError("a datagram that is not one frame", received=datagram))
 
 
-def _is_short_exception(data: bytes | bytearray) -> bool:
-    """Return True for an exception, which has 3 bytes behind the length, with a length of 4."""
-    return len(data) == 9 and data[2:6] == b"\0\0\0\4" and data[FUNCTION] >= 0x80
+def _is_whole_response(data: bytes | bytearray) -> bool:
+    """Return True for a response to which one byte is missing by its header, and none by itself."""
+    count = len(data) - FUNCTION
+    if count < 2 or data[2 : FUNCTION - 1] != (count + 2).to_bytes(4):
+        return False
+    return pdu.response_length(bytes(data[FUNCTION:])) == count
 
 
 def _frame(data: bytes | bytearray) -> Frame:

@@ -63,7 +63,7 @@ BAD_TCP: dict[str, tuple[Answer, type[ModbusError]]] = {
     "length 255": (tcp(GOOD, length=255), FrameError),
     "length 65535": (tcp(GOOD, length=65535), FrameError),
     "length too short by one": (tcp(GOOD, length=len(GOOD)), InvalidResponse),
-    "length too long by one": (tcp(GOOD, length=len(GOOD) + 2), ModbusTimeoutError),
+    "length too long by two": (tcp(GOOD, length=len(GOOD) + 3), ModbusTimeoutError),
     "fewer registers": (tcp(b"\x03\x04\x02\x2b\x00\x00"), InvalidResponse),
     "more registers": (tcp(b"\x03\x08" + bytes(8)), InvalidResponse),
     "lying byte count": (tcp(b"\x03\xff\x02\x2b\x00\x00\x00\x64"), InvalidResponse),
@@ -101,15 +101,16 @@ def test_tcp_error_and_next_request_succeeds(world: World, name: str) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "tls", "udp", "unix"])
-def test_an_exception_whose_length_counts_a_byte_too_much_is_taken(world: World, scheme) -> None:
+def test_a_response_whose_header_counts_a_byte_too_much_is_taken(world: World, scheme) -> None:
     """wlcrs/tmodbus#146: exceptions of 9 bytes whose header says 4 in place of 3."""
-    refusal = tcp(b"\x83\x02", length=4)
-    peer = world.peer(scheme, answering(refusal, refusal, good_tcp))
+    refusal, response = tcp(b"\x83\x02", length=4), tcp(GOOD, length=len(GOOD) + 2)
+    peer = world.peer(scheme, answering(refusal, refusal, response, response))
     with world.connect(peer.url) as context:
         for _ in range(2):
             with world.lasting(0, 0.01), pytest.raises(IllegalDataAddress):
                 values(context)
-        assert values(context) == VALUES
+        with world.lasting(0, 0.01):
+            assert [values(context) for _ in range(2)] == [VALUES] * 2
     assert peer.connections <= 1
 
 
