@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 from ..protocol.errors import MAX_RECEIVED, FrameError, InvalidResponse, ModbusError
-from ..protocol.frames import TcpFramer, UdpFramer, mbap
+from ..protocol.frames import TcpFramer, UdpFramer, is_one_frame, mbap
 from .call import Call, Matching, no_answer
 from .statistics import Statistics
 
@@ -185,7 +185,7 @@ class Ids(Matching):
         if rest[:2] == number:
             return no_answer(timeout, rest)
         error = no_answer(timeout, self._strays or rest)
-        if self._strays and self._strays[:2] != number:
+        if self._strays[:2] not in (b"", number) and is_one_frame(self._strays):
             other = _number(self._strays)
             hint = 'ids="ignore" would take it'
             error.args = (f"{error.args[0]}: id {other}, not {_number(number)}; {hint}",)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import errno
 import re
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ..ports.schemes import SCHEMES, TRANSPORTS
@@ -29,6 +30,7 @@ from .statistics import Statistics, result_of
 if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
     from ..ports.port import Port
+    from ..protocol.framing import Framing
 
 __all__ = ["CLOSED", "Outcomes", "add_hint", "explain", "explain_end"]
 
@@ -140,17 +142,18 @@ def add_hint(error: ModbusError, hint: str) -> None:
 
 def explain(scheme: str, request: bytes, received: bytes) -> str:
     """Return the likely mistake if such bytes, which are no answer, come; "" if there is none."""
-    framing, _ = SCHEMES[scheme]  # type: ignore[index]
+    framing, transport = SCHEMES[scheme]  # type: ignore[index]
     # The header of a TLS record (RFC 8446, 5.1).
     if scheme in PLAIN and re.match(rb"[\x14-\x17]\x03[\x00-\x04]..", received, re.DOTALL):
         return "this looks like tls://"
     if framing in ("rtu", "ascii") and received.startswith(request):
         return "the request itself came back; echo=True?"
-    for looks_so, other in _LOOKS.items():
-        if other != framing and framing != "udp" and looks_so(received):
-            is_on_tcp = scheme.endswith("tcp") and other != "tcp"
-            return f"this looks like {other}{'+tcp' * is_on_tcp}://"
-    if TRANSPORTS[SCHEMES[scheme][1]].is_listening:  # type: ignore[index]
+    others = {SCHEMES[other][0]: other for other in SCHEMES if SCHEMES[other][1] == transport}
+    for looks_so, framings in _LOOKS.items():
+        if framing not in framings and looks_so(received):
+            names = [others[name] for name in framings if name in others] or framings
+            return f"this looks like {names[0]}://"
+    if TRANSPORTS[transport].is_listening:
         return "a registration packet or heartbeat? see greeting"
     unit, function = request[0], request[1]
     starts = (bytes([unit, function]), bytes([unit, function | 0x80]))
@@ -196,4 +199,8 @@ def _looks_rtu(data: bytes) -> bool:
     return any(crc16(data[:end]) == 0 for end in range(5, min(len(data), 256) + 1))
 
 
-_LOOKS = {_looks_ascii: "ascii", is_one_frame: "tcp", _looks_rtu: "rtu"}
+_LOOKS: dict[Callable[[bytes], bool], tuple[Framing, ...]] = {
+    _looks_ascii: ("ascii",),
+    is_one_frame: ("tcp", "udp"),
+    _looks_rtu: ("rtu",),
+}

@@ -40,6 +40,8 @@ MISTAKES: dict[str, tuple[str, Callable[[bytes], bytes], str]] = {
     "rtu on ascii": ("ascii", lambda _: IN_RTU, "this looks like rtu://"),
     "ascii over tcp": ("rtu+tcp", lambda _: IN_ASCII, r"this looks like ascii\+tcp://"),
     "mbap on rtu over tcp": ("rtu+tcp", lambda _: IN_TCP, "this looks like tcp://"),
+    "rtu over udp on udp": ("udp", lambda _: IN_RTU, r"this looks like rtu\+udp://"),
+    "mbap on rtu over udp": ("rtu+udp", lambda _: IN_TCP, "this looks like udp://"),
     "rtu over tcp on tcp": ("tcp", lambda _: IN_RTU, r"this looks like rtu\+tcp://"),
     "noise": ("rtu", lambda _: NOISE, "only noise; baud rate, parity, A and B swapped"),
 }
@@ -121,7 +123,7 @@ RECEIVED = {
         ("tcp", "rtu", "this looks like rtu+tcp://"),
         ("tcp", "ascii", "this looks like ascii+tcp://"),
         ("rtu+tcp", "ascii", "this looks like ascii+tcp://"),
-        ("udp", "rtu", ""),
+        ("udp", "rtu", "this looks like rtu+udp://"),
         ("rtu", "rtu", ""),
         ("ascii", "ascii", ""),
         *((scheme, "tcp", "") for scheme in ("tcp", "tls", "unix")),
