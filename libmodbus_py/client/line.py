@@ -25,6 +25,7 @@ this pair, and the other states are those of the line.
     HOLD    the same answer again, or a late       HOLD, from the beginning
             frame of its unit
     HOLD    another frame of it, or a damaged one  IDLE and DOUBT; the request fails
+            that is longer than noise
     HOLD    nothing for twice the time of its      IDLE, no DOUBT; the answer is the result
             slowest good answer of this length
     HOLD    the end of its time comes first        IDLE, and the answer is the result: without
@@ -81,7 +82,7 @@ from ..protocol.framing import (
     make_framer,
 )
 from ..protocol.pdu.request import Request
-from ..protocol.rtu import has_own_length
+from ..protocol.rtu import MAX_NOISE, has_own_length
 from .call import Call, Matching, no_answer
 from .history import TIMES_SLOWEST, Pair, history_of
 from .statistics import Statistics
@@ -120,6 +121,7 @@ class Line(Matching):
         self._ended: list[Call] = []
         self._wrong: ModbusError | None = None  # the error of bytes received before the answer
         self._received = bytearray()
+        self._heard_at = 0.0  # when bytes came last
         self._quiet_at: float | None = None  # when silence ends a frame
         # In HOLD: the answer, when it came, for how many seconds it is held, and until when.
         self._held: bytes | None = None
@@ -214,6 +216,7 @@ class Line(Matching):
 
     def take(self, data: bytes, now: float) -> list[Call]:
         self._silence.heard(now)
+        self._heard_at = now
         self._received += data[: MAX_RECEIVED - len(self._received)]
         if self._call is None:
             self.unasked += len(data)
@@ -244,7 +247,9 @@ class Line(Matching):
             self._statistics.invalid += 1
             self._wrong = frame
             if self._held is not None and call is not None and self._is_of(call, frame.received):
-                self._fail(call, frame, now)
+                answer = self._framer.encode(Frame(call.unit, self._held))
+                if len(self._received.rpartition(answer)[2]) > MAX_NOISE:
+                    self._fail(call, frame, now)
             return
         unit, pdu, _ = frame
         if self.is_traced:
@@ -379,7 +384,7 @@ class Line(Matching):
             pdu = self._framer.find_response(answer, call.unit, call.pdu[0], is_over=is_over)
             if pdu:
                 self._framer = self._make_framer()
-                self._judge(Frame(call.unit, pdu), now)
+                self._judge(Frame(call.unit, pdu), self._heard_at)
             if pdu is not None:
                 return
         wrong = self._wrong

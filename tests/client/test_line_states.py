@@ -242,6 +242,25 @@ def test_hold_and_another_frame_fails_the_request_and_leads_to_doubt(frame: byte
     assert driver.connection.in_flight
 
 
+@pytest.mark.parametrize("noise", [b"\1\3\xff", b"\1\3\3\0"])
+def test_hold_and_noise_like_the_beginning_of_an_answer_is_no_other_answer(noise: bytes) -> None:
+    driver = in_doubt()
+    batch = driver.ask(6)
+    driver.wait(0.01)
+    driver.come(value(6) + noise)
+    driver.wait(0.05)
+    assert batch.outcomes == [[6]]
+
+
+def test_an_answer_behind_noise_like_its_beginning_is_held_from_when_it_came() -> None:
+    driver = in_doubt()
+    batch = driver.ask(6)
+    driver.wait(0.01)
+    driver.come(b"\1\3\x20" + value(6) + b"\xff")
+    driver.wait(1)
+    assert batch.outcomes == [[6]]
+
+
 def test_hold_of_twice_the_slowest_answer_of_this_length_ends_the_doubt() -> None:
     driver = used()
     slow = driver.ask(pdu.ReadHoldingRegisters(5, 2))
