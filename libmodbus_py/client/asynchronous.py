@@ -31,9 +31,9 @@ class AsyncClient(AsyncValues):
 
     With the framings "tcp" and "udp", up to `max_in_flight` reads are pending at the same time,
     and may be answered in any order; a write is alone. On serial lines, and on serial lines behind
-    TCP or UDP, requests are sent one at a time. After a failure there, the line must be silent for
-    `timeout` before the same unit gets another request, because a late response could be mistaken
-    for the response to that request. Requests are sent in the order in which they were made.
+    TCP or UDP, requests are sent one at a time. After a failure there, a unit gets none of the same
+    function before it was silent, at most one `timeout` later, because a late response could be
+    mistaken for that to the new request. Requests are sent in the order in which they were made.
 
     A request may be cancelled at any time, for example by ``asyncio.timeout``. Its response is
     dropped when it arrives, and other requests are not affected.

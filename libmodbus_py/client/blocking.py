@@ -38,10 +38,10 @@ class Client(BlockingValues):
       waiting for another one.
 
     On a serial line ("rtu", "ascii"), libmodbus opens and configures the port, which is locked
-    while it is open, so that no two programs use it at once. If a unit has not given a valid
-    response, its next request is not sent before the line has been silent for `timeout`, because
-    a late response could be mistaken for the response to that request; so `timeout` should be
-    longer than the slowest unit takes. Requests to other units do not wait.
+    while it is open, so that no two programs use it at once. After a request without a valid
+    response, its unit gets none of the same function before it was silent, at most one `timeout`
+    later, because a late response could be mistaken for that to the new request; so `timeout`
+    should be longer than the slowest unit takes. Requests to other units do not wait.
 
     Over TLS ("tls"), both sides authenticate each other by certificates. A certificate that is
     refused raises a ModbusConnectionError (errno EKEYREJECTED) whose message tells which one, and

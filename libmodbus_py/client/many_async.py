@@ -54,7 +54,7 @@ class AsyncMany(AsyncFunctions):
         **wrong: Unpack[NoOthers],
     ) -> list[Any]:
         """
-        Send many request objects, several at a time if frames carry transaction ids.
+        Send many request objects, several reads at a time with `max_in_flight`.
 
         Up to `max_in_flight` of the client's reads are pending at the same time. A write is alone,
         and the requests keep the order around it in which they are given. The `timeout` of each

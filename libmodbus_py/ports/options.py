@@ -366,7 +366,7 @@ class SerialSettings(TypedDict, total=False):
     ]
     silence: Annotated[
         float | None,
-        "seconds of silence before a request; unless given, 3.5 characters on serial lines",
+        "seconds of silence before a request; unless given, 3.5 characters on rtu://",
         SECONDS.option(check=optional(durations(0, 1))),
     ]
 

@@ -39,7 +39,7 @@ Arguments take precedence.
 
 SERIAL = """\
 Options of clients whose URL is that of a [serial port](how-to/serial-ports.md), and
-settings of such URLs everywhere.
+settings of such URLs everywhere. With `ascii://`, `data_bits` is 7.
 """
 
 DEVICES = """\
