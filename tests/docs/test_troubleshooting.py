@@ -7,7 +7,6 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -24,7 +23,7 @@ PAGE = (ROOT / "docs" / "troubleshooting.md").read_text()
 NAMED = re.findall(r"^\| `(.*?)` \|", PAGE, re.MULTILINE)
 
 ANSWER = "11 03 06 022B 0000 0064"  # registers 555, 0 and 100 of unit 17
-GOOD = rtu(ANSWER)
+GOOD, LATE = rtu(ANSWER), rtu("11 03 06 0001 0000 0064")
 
 # What came -> what the client says of it.
 Came = Callable[[bytes], bytes]
@@ -40,6 +39,7 @@ RTU: dict[str, Came] = {
     "this looks like ascii://": lambda request: ascii_frame(ANSWER),
     "unit 18 answered": lambda request: rtu("12 03 06 022B 0000 0064"),
     "function 4 was answered, not 3": lambda request: rtu("11 04 06 022B 0000 0064"),
+    "two answers came, one to an earlier request": lambda request: GOOD + LATE,
     "answered with a response of 5 bytes: 03 00 02 17 81": lambda request: rtu("11 03 0002 1781"),
     "answered with 4 bytes of data": lambda request: rtu("11 03 04 022B 0000"),
 }
@@ -47,6 +47,7 @@ ASCII: dict[str, Came] = {"this looks like rtu://": lambda request: GOOD}
 TCP: dict[str, Came | None] = {
     "closed by the other side; nothing was answered yet; does it want tls://?": None,
     "this looks like rtu+tcp://": lambda request: GOOD,
+    "this looks like tls://": lambda request: bytes.fromhex("15 0301 0002 0228"),
     "header with length 12081, not 2..254": lambda request: b"HTTP/1.1 400 Bad Request\r\n\r\n",
     'unit 255 answered; accept_unit="any" would take it': (
         lambda request: mbap(request, bytes.fromhex("0306022B00000064"), unit=255)
@@ -88,6 +89,7 @@ OTHERS = {
     "Connection refused",
     "Connection timed out",
     "cannot resolve host 'no-such-host.invalid'",
+    "no device has connected to 127.0.0.1:1502",
     "count must be in 1..125, not 126",
     "address must be in 0..65535, not 65536",
 }
@@ -140,8 +142,7 @@ input()
 
 
 def port(path: str, number: int) -> str:
-    message: str = NAMED[number]
-    return message.replace("/dev/ttyUSB0", path)
+    return str(NAMED[number]).replace("/dev/ttyUSB0", path)
 
 
 def open_pseudo_terminal(name: str) -> list[int]:
@@ -194,11 +195,11 @@ def test_errors_of_ports_are_those_of_the_page(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_errors_of_hosts_are_those_of_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    with ExitStack() as stack:
-        assert ends_so("Connection refused", output(url_of(stack.enter_context(refusing()))))
-        assert ends_so(
-            "Connection timed out", output(f"tcp://127.0.0.1:{stack.enter_context(mute_port())}")
-        )
+    with refusing() as bound, mute_port() as mute:
+        url = url_of(bound)
+        assert ends_so("Connection refused", output(url))
+        assert ends_so("Connection timed out", output(f"tcp://127.0.0.1:{mute}"))
+    assert ends_so(f"no device has connected to {url[6:]}", output(f"listen+{url}"))
 
     def unknown(*_: object, **__: object) -> None:
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")  # nobody is asked
@@ -211,7 +212,6 @@ def test_errors_of_hosts_are_those_of_the_page(monkeypatch: pytest.MonkeyPatch) 
 
 def test_arguments_are_looked_at_before_anything_is_sent() -> None:
     with FakeServer(None) as server:
-        url = f"tcp://127.0.0.1:{server.port}"
-        assert ends_so("count must be in 1..125, not 126", output(url, 0, 126))
-        assert ends_so("address must be in 0..65535, not 65536", output(url, 65536, 1))
+        assert ends_so("count must be in 1..125, not 126", output(server.url, 0, 126))
+        assert ends_so("address must be in 0..65535, not 65536", output(server.url, 65536, 1))
         assert server.requests == []
