@@ -149,9 +149,9 @@ for file in sys.argv[1:]:
 """
 
 BODIES = {
-    "killed": "assert rest_after(3, 1.0, 60.0) == 4.0",
-    "survived": "rest_after(3, 1.0, 60.0)",
-    "hung": "rest_after(3, 1.0, 60.0) == 4.0 or threading.Event().wait()",
+    "killed": "assert pause_after(3, 1.0, 60.0) == 4.0",
+    "survived": "pause_after(3, 1.0, 60.0)",
+    "hung": "pause_after(3, 1.0, 60.0) == 4.0 or threading.Event().wait()",
 }
 
 
@@ -160,7 +160,7 @@ def test_a_mutant_is_killed_by_a_test_that_notices(tmp_path: Path) -> None:
     for folder in ("libmodbus_py", "fuzz"):
         (tmp_path / folder).symlink_to(ROOT / folder)
     for kind, body in BODIES.items():
-        head = "import threading\nfrom libmodbus_py.services.line import rest_after\n"
+        head = "import threading\nfrom libmodbus_py.services.line import pause_after\n"
         (tmp_path / f"test_{kind}.py").write_text(f"{head}\n\ndef test_it():\n    {body}\n")
     command = [sys.executable, "-c", TRYING, *(f"test_{kind}.py" for kind in BODIES)]
     process = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, cwd=tmp_path)

@@ -85,7 +85,7 @@ def refuse_options(options: argparse.Namespace, names: Collection[str], why: str
         raise ValueError(f"{flag(next(iter(typed)))} {why}")
 
 
-# --- what several commands take -----------------------------------------------------------------
+# --- arguments of several commands --------------------------------------------------------------
 
 
 URL = "URL\n  such as 192.0.2.10, 192.0.2.10:1502 or /dev/ttyUSB0\n"
@@ -295,7 +295,7 @@ def _of_serial_ports() -> dict[str, Any]:
     return {**SERIAL_DEFAULTS, **texts, "parity": words[SERIAL_DEFAULTS["parity"]]}
 
 
-# --- what completes arguments ------------------------------------------------------------------
+# --- completion of arguments -------------------------------------------------------------------
 
 PARITY_WORDS = [word for word in PARITIES if len(word) > 1]
 

@@ -36,7 +36,7 @@ class BlockingDriver:
     """
     Runs the requests of one connection, those of one caller at a time, for any thread.
 
-    While a thread holds `lock`, only that thread can send; `waker` waits, on the clock of the port.
+    While a thread holds `lock`, only that thread can send. `waker` is how it waits.
     """
 
     def __init__(self, port: Port, connection: Transactions) -> None:

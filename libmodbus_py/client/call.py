@@ -116,7 +116,7 @@ class Call:
         self.is_done: bool = False
         self.adu: bytes = b""  # the frame that was sent last
         self.sent_at: float = 0.0  # until it is sent: when it began to wait for a connection
-        self.waited: float = 0.0  # seconds of its time that were over when the connection stood
+        self.waited: float = 0.0  # seconds of its timeout that had passed when it was connected
         # How often it was sent again: because it was not answered, and because the device was busy.
         self.tries: tuple[int, int] = 0, 0
         if request is None:
@@ -135,7 +135,7 @@ class Call:
                     f"{name.format(index)}: unit 0 is a broadcast, which no unit answers, "
                     f"and {request} is not a write; broadcast=False, if a device answers it"
                 )
-            is_broadcast = False  # who sends bytes knows whether they are answered
+            is_broadcast = False  # bytes of a caller may be a read, which is answered
         self.pdu = pdu = request.encode()
         if not isinstance(pdu, bytes):
             kind = type(pdu).__name__

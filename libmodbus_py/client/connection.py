@@ -368,8 +368,8 @@ class Transactions:
 
     def take(self, chunks: Iterable[bytes], now: float) -> bool:
         """
-        Take received bytes; return True if requests wait to be sent. `settle` decodes the answers:
-        first, if it is known that one is an error, because that may end the others of its caller.
+        Take received bytes; return True if requests wait to be sent. `settle` decodes the answers;
+        at once, if one is known to be an error, because it may end the other calls of its caller.
         """
         matching, queue = self.matching, self.queue
         for data in chunks:

@@ -49,7 +49,7 @@ class Pair:
         self.checked_at: float = now
         # Length of answers -> the longest time that one took, which fades, and the shortest one.
         self._times: dict[int, tuple[float, float]] = {}
-        # What was asked -> the last answer; kept if it is repeating.
+        # Request without its values -> the last answer; kept if answers repeat.
         self._answers: dict[bytes, bytes] = {}
 
     @property

@@ -150,7 +150,7 @@ def listed_options(kind: type[Options], **usual: Any) -> str:
         (
             "Make a client. These are its options, with their defaults; times are in seconds:\n",
             *lines({name: row for name, row in rows.items() if name not in SERIAL_OPTIONS}),
-            "\nOn a serial port also; unless given, they are those of the URL:\n",
+            "\nOn a serial port also; by default, those of the URL:\n",
             *lines(SERIAL_OPTIONS),
         )
     )

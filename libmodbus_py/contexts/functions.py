@@ -114,7 +114,7 @@ class Functions(ContextBase):
 
         return self._transact(pdu.ReportServerId(), act)
 
-    # --- what libmodbus lacks ----------------------------------------------------------------
+    # --- functions that libmodbus lacks ------------------------------------------------------
 
     def execute(self, request: pdu.Request[Result]) -> Result:
         """

@@ -340,7 +340,7 @@ class Device(NamedValues, PythonFunctions):
     def answer_chunk(self, data: bytes, start: int, unit: int) -> Answered:
         """
         Execute requests of Modbus/TCP to a unit with the functions `in_c`, from ``data[start]`` on,
-        up to the first that `answer` must handle, as one with a hook or of another unit.
+        up to the first that needs `answer`, because it has a hook or is for another unit.
 
         Returns:
             The index of the first byte that was not used; the responses; the number of requests

@@ -70,7 +70,7 @@ class EventLog:
         own._events, own._counters = self._events, self._counters
         return own
 
-    # --- what happens on the line; what each request notes calls nothing -------------------
+    # --- events on the line; those of each request call no other method --------------------
 
     def note_frame(self) -> None:
         """Count a valid frame on a serial line, for any unit; on TCP one that is not a request."""

@@ -69,7 +69,7 @@ class Origin:
 
 
 def word_of(text: str) -> str:
-    """Return a heading or a word of a cell as the tables have it: "Data_Type " is "data type"."""
+    """Return a heading or a word of a cell as a key of the tables: "Data_Type " is "data type"."""
     return plain(unicodedata.normalize("NFKC", text))
 
 

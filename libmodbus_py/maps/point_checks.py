@@ -131,7 +131,7 @@ def _access(point: Point) -> str:
     if point.access is None:
         return "read_write" if can_be_written else "read"
     if choice("access", point.access, ACCESSES) != "read" and not can_be_written:
-        raise WrongValue("access", f"must be read for {point.table}, not {point.access!r}")
+        raise WrongValue("access", f"must be 'read' for {point.table}, not {point.access!r}")
     return str(point.access)
 
 

@@ -185,7 +185,7 @@ def _is_lost(value: object) -> bool:
     return isinstance(value, ModbusError) and not is_answer
 
 
-# --- what clients watch ---------------------------------------------------------------------
+# --- plans of watches -----------------------------------------------------------------------
 
 
 class Pace:

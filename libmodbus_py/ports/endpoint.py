@@ -255,7 +255,7 @@ def _host_and_port(url: str, scheme: Scheme, parts: SplitResult) -> tuple[str, i
     if ":" in host and not parts.netloc.startswith("["):
         raise ValueError(f"{url!r}: an IPv6 address needs brackets, as in {scheme}://[::1]:502")
     name, percent, zone = host.partition("%")
-    if zone.startswith("25") and zone != "25":  # RFC 6874; bare signs are common, too
+    if zone.startswith("25") and zone != "25":  # "%25" by RFC 6874; "%" alone is common
         zone = zone[2:]
     host = f"{name.lower()}{percent}{zone}"  # a zone is the name of an interface, as it is written
     return host, TRANSPORTS[SCHEMES[scheme][1]].port if port is None else port

@@ -94,7 +94,9 @@ class ListeningPort(TcpPort):
         count, texts = greeting_of("greeting", settings["greeting"] or "0 bytes")
         greeting = Greeting(count, texts, has_header=endpoint.framing == "tcp")
         port = cls(endpoint.host, endpoint.port, settings["keepalive"], greeting)
-        port.silence = Silence(endpoint.options.get("silence") or 0.0)  # of a line behind it
+        port.silence = Silence(
+            endpoint.options.get("silence") or 0.0
+        )  # of the line, if the device is a gateway
         return port
 
     def __init__(self, host: str, port: int, keepalive: float | None, greeting: Greeting) -> None:

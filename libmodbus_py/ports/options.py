@@ -356,17 +356,17 @@ class SerialSettings(TypedDict, total=False):
     ]
     rts_delay: Annotated[
         float | None,
-        "seconds between RTS and the data; unless given, one character",
+        "seconds between RTS and the data; by default, one character",
         SECONDS.option(check=optional(durations(0, 1))),
     ]
     echo: Annotated[
         bool | None,
-        "all that is sent comes back; unless given, found out",
+        "the line returns all that is sent; by default, this is detected",
         SWITCH.option(check=_echo),
     ]
     silence: Annotated[
         float | None,
-        "seconds of silence before a request; unless given, 3.5 characters on rtu://",
+        "seconds of silence before a request; by default, 3.5 characters on rtu://",
         SECONDS.option(check=optional(durations(0, 1))),
     ]
 

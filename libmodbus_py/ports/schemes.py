@@ -44,11 +44,11 @@ def framing_of(url: str) -> Framing:
 
 SECURITY_OPTIONS: Mapping[str, Option] = {
     "cert": Option("own certificate, a PEM file", FILE),
-    "key": Option("private key of the certificate; unless given, in the same file", FILE),
+    "key": Option("private key of the certificate; by default, in the same file", FILE),
     "ca": Option("certificates of the trusted authorities, a PEM file", FILE),
     "crl": Option("revocation lists of these authorities, a PEM file", FILE),
     "pin": Option("trust only this certificate: a PEM file, or its SHA-256", FILE),
-    "server_name": Option("name in the server's certificate; unless given, the host", NAME),
+    "server_name": Option("name in the server's certificate; by default, the host", NAME),
     "password_env": Option("environment variable that contains the key's password", NAME),
 }
 """The options of tls:// URLs."""
@@ -59,7 +59,7 @@ class TransportRules(NamedTuple):
 
     port_class: str  # its file and its name
     options: Mapping[str, Option] = MappingProxyType({})  # of URLs, besides those of clients
-    port: int = DEFAULT_PORT  # the one that a URL means without a port; 0 if there are none
+    port: int = DEFAULT_PORT  # of a URL that names no port; 0 if the transport has no ports
     example: str = ""  # of a path, if endpoints are paths of this machine
     is_serial: bool = False
     is_datagram: bool = False  # each ADU is a datagram, without a connection

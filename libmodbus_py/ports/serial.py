@@ -136,8 +136,8 @@ class SerialPort(Port):
         Raise an OSError for a setting that the open port did not take.
 
         Linux reports no error if a driver cannot make a setting: `tcsetattr` returns 0, and the
-        port has another one, usually that of before. Which rates a port has is not known without
-        trying them: only of a plain UART the highest one is.
+        port has another one, usually that of before. The rates of a port are only known by
+        trying them; of a plain UART the highest one is known.
         """
         control = termios.tcgetattr(descriptor)[2]
         odd_or_even = "O" if control & termios.PARODD else "E"

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 # Value of SO_LINGER: the end of the connection is a reset.
 RESET = struct.pack("ii", 1, 0)
 
-# Received at first, and more only if there is more: Python keeps so small bytes without malloc.
+# The size of the first receive; later ones are larger. Python needs no malloc for few bytes.
 FIRST_BYTES = 479
 
 # Datagrams taken in one turn.
@@ -296,7 +296,7 @@ class UdpPort(HostPort):
 
     def _preparing(self, connection: socket.socket, deadline: float) -> Steps[None]:
         yield from super()._preparing(connection, deadline)
-        self._refusal = 0  # the system's number
+        self._refusal = 0  # the errno of the last refusal
 
     def receive(self) -> list[bytes]:
         datagrams: list[bytes] = []

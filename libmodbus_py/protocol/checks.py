@@ -110,7 +110,7 @@ def duration_of(text: str) -> float:
 UNSTARTED = (CoroutineType, GeneratorType, AsyncGeneratorType)
 """The types of results that stand for a body of which nothing has run."""
 
-# Of code: a generator, a coroutine, one made of a generator, an asynchronous generator (inspect).
+# Flags of code (inspect): generators, coroutines, both in one, and asynchronous generators.
 NOT_AT_ONCE = 0x20 | 0x80 | 0x100 | 0x200
 
 

@@ -229,7 +229,7 @@ class GivenContext:
         """Do nothing, because a context does not tell which certificate it shows."""
 
 
-# --- what is read again ---------------------------------------------------------------------
+# --- reloading ------------------------------------------------------------------------------
 
 T = TypeVar("T")
 

@@ -33,7 +33,7 @@ def keep_presented(context: ssl.SSLContext) -> None:
     # The hook would get a compressed certificate (RFC 8879) as it is, and Python has not all of the
     # algorithms. A client compresses its certificate only for a server that says it can read that.
     if ssl.OPENSSL_VERSION_INFO >= (3, 2):
-        with contextlib.suppress(OverflowError):  # the 32 bits of an older Python
+        with contextlib.suppress(OverflowError):  # an older Python has 32 bits of options
             context.options |= NO_COMPRESSED_CERTIFICATE
 
 
@@ -129,7 +129,7 @@ class Tunnel:
         return self._certificates("get_verified_chain") or [self.certificate]
 
     def _certificates(self, name: str) -> list[bytes]:
-        # Python 3.13 has this in its API; before, only the object within has it.
+        # Python 3.13 has this in its API; older ones only have it in the object inside.
         inner = self._tls._sslobj  # type: ignore[attr-defined]  # pyright: ignore
         chain = getattr(inner, name)() if inner is not None else None
         return [ssl.PEM_cert_to_DER_cert(certificate.public_bytes()) for certificate in chain or ()]

@@ -209,7 +209,7 @@ class Peer:
         self._turns = turns
         self._socket = client
         self._descriptor = client.fileno()
-        # bytes as long as the client takes them at once: mostly one answer, never copied.
+        # Usually one answer, as bytes, which is not copied; a bytearray if the client reads slowly.
         self._unsent: bytes | bytearray = b""
         self._is_sending = self._is_full = self._is_throttled = self._is_closing = False
         self._is_reading = True

@@ -25,8 +25,8 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 class SerialServer:
     """
-    Answers on one port, which is opened again when it was unplugged and comes back. It is the
-    channel of its session.
+    Answers on one port, which is opened again when it was unplugged and comes back. Its session
+    sends the answers through it.
     """
 
     def __init__(

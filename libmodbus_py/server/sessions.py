@@ -215,7 +215,7 @@ class ByChunk(ByFrame):
         return self.take_chunk(data)
 
     def take_chunk(self, data: bytes) -> int:
-        """As `receive`, without the help of other sessions."""
+        """Answer requests as `receive` does, but never together with those of other sessions."""
         data = self._pending + data
         before = self.statistics.requests
         start, size, count, is_lost = 0, len(data), 0, False
@@ -231,7 +231,7 @@ class ByChunk(ByFrame):
                 count += 1
         except FrameError as error:
             is_lost = self.statistics.requests > before
-            if not is_lost:  # else the requests before it count first
+            if not is_lost:  # otherwise the requests before it are counted first
                 self.take_one(error)
                 raise
         self._pending = data[start:]

@@ -70,7 +70,7 @@ class Handshakes:
         # By address, in the order in which they began.
         self._half_open: dict[str, dict[TlsSession, None]] = {}
         self._count = 0
-        # By address, the one whose turn is next first.
+        # By address, in the order in which they take their steps.
         self._line: dict[str, dict[TlsSession, None]] = {}
         self._next_step: asyncio.Handle | None = None
         # Those whose certificates are checked.
@@ -133,7 +133,7 @@ class Handshakes:
             session = next(iter(queue))
             del queue[session]
             if queue:
-                self._line[host] = queue  # behind the other addresses
+                self._line[host] = queue  # its next step comes after those of the other addresses
             if self._line:
                 self._next_step = self.loop.call_soon(self._step)
             session.take_step()

@@ -42,13 +42,13 @@ SHORTEST_TRIAL_S = 0.02
 
 FADING = 0.95  # the share of a unit's longest response time that is kept with each further answer
 TRIALS_BEFORE_LONG = 16  # one trial of a unit in so many has its whole timeout
-MOST_DOUBLINGS = 20  # the most doublings of a rest, so that no number grows without bound
+MOST_DOUBLINGS = 20  # the most doublings of a pause, so that no number grows without bound
 
 
-def rest_after(misses: int, first: float, longest: float) -> float:
-    """Return the seconds that a unit rests after so many misses in a row, 1 or more."""
-    rest: float = first * 2 ** min(misses - 1, MOST_DOUBLINGS)
-    return min(rest, max(longest, first))
+def pause_after(misses: int, first: float, longest: float) -> float:
+    """Return the seconds for which a unit is paused after so many misses in a row, 1 or more."""
+    pause: float = first * 2 ** min(misses - 1, MOST_DOUBLINGS)
+    return min(pause, max(longest, first))
 
 
 class LineRequest:
@@ -160,7 +160,7 @@ class SharedLine(ABC, Generic[Job]):
         self._alarm = Alarm(self.go_on)
         self._next_at = math.inf
 
-    # --- what the users of a line decide ------------------------------------------------------
+    # --- decisions of subclasses --------------------------------------------------------------
 
     @abstractmethod
     def conclude(self, job: Job, outcome: Any, now: float) -> None:
@@ -243,7 +243,7 @@ class SharedLine(ABC, Generic[Job]):
         await self.client.close()
         self._finish()
 
-    # --- who is next --------------------------------------------------------------------------
+    # --- the next request ---------------------------------------------------------------------
 
     def go_on(self, now: float | None = None) -> None:
         """

@@ -52,8 +52,8 @@ async def end_tasks(tasks: Collection[asyncio.Task[Any]]) -> None:
 
 async def finish(call: Coroutine[Any, Any, Any], seconds: float | None = None) -> None:
     """
-    Run the last call of an object that is being closed, for some seconds; `FINISHING_S`
-    unless given. An exception that it raises is ignored.
+    Run the last call of an object that is being closed, for some seconds, by default
+    `FINISHING_S`. An exception that it raises is ignored.
     """
     # In a task that was cancelled, `asyncio.timeout` of Python 3.11.2 raises CancelledError at its
     # end, so that objects after it would not be closed.

@@ -113,7 +113,7 @@ def _asked(address: int, count: int) -> _Steps[list[int] | ExceptionResponse]:
         return refusal
 
 
-# --- what is found --------------------------------------------------------------------------------
+# --- results --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ async def test_an_output_that_loses_cancellations_ends_with_the_fleet() -> None:
 
 
 @simulated
-async def test_a_cancellation_is_not_lost_while_a_writer_rests() -> None:
+async def test_a_cancellation_is_not_lost_while_a_writer_pauses() -> None:
     writer = OutputWriter(FakeOutput(refused=("a",), error=OSError("away")))
     writer.buffer.put_readings([reading("a", "one")])
     writer.start()

@@ -1,7 +1,7 @@
 """Who may ask next on a connection that many share, with a client that is a list."""
 
 from libmodbus_py.pdu import ReadCoils
-from libmodbus_py.services.line import FairQueue, LineRequest, rest_after
+from libmodbus_py.services.line import FairQueue, LineRequest, pause_after
 from tests.support.cases import each_case
 
 READ = ReadCoils(0, 1)
@@ -54,11 +54,11 @@ def test_one_client_fills_its_own_queue_only_and_all_have_a_bound() -> None:
 
 
 @each_case(
-    ("misses", "first", "rest"),
+    ("misses", "first", "pause"),
     [
         *((1, 1.0, 1.0), (2, 1.0, 2.0), (4, 1.0, 8.0), (9, 1.0, 60.0)),
         *((10**9, 1.0, 60.0), (1, 300.0, 300.0), (5, 300.0, 300.0)),
     ],
 )
-def test_rests_double_up_to_the_longest(misses: int, first: float, rest: float) -> None:
-    assert rest_after(misses, first, 60.0) == rest
+def test_pauses_double_up_to_the_longest(misses: int, first: float, pause: float) -> None:
+    assert pause_after(misses, first, 60.0) == pause

@@ -122,7 +122,7 @@ BREAKS: tuple[Break, ...] = (
         lambda: patch.object(_Deciding, "has_passed", lambda self, at: self.now >= at),
     ),
     Break(
-        "a resting unit is not asked",
+        "a paused unit gets no request",
         ("silent unit",),
         lambda: patch.object(SilentUnits, "state", lambda *_: UnitState.GOOD),
     ),

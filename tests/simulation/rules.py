@@ -44,10 +44,10 @@ class Call:
 
 
 @dataclass
-class Rest:
+class Pause:
     """A unit that gives no answer: how long a gateway must leave it alone."""
 
-    timeout: float  # of the line; the first rest, each later one twice as long
+    timeout: float  # of the line; the first pause, each later one twice as long
     asked: float | None = None
     pause: float = 0.0
 
@@ -59,11 +59,11 @@ class Rest:
         if not self.pause or now <= self.asked + self.timeout:
             return 0.0  # one of those that were in flight together
         early = self.asked + self.pause - now
-        self.asked, self.pause = now, min(2 * self.pause, LONGEST_REST)
+        self.asked, self.pause = now, min(2 * self.pause, LONGEST_PAUSE)
         return early
 
 
-LONGEST_REST = 15.0
+LONGEST_PAUSE = 15.0
 
 
 @dataclass
@@ -79,7 +79,7 @@ class Checker:
     is_line: bool = False
     wrong: int = 0
     results: Counter[str] = field(default_factory=Counter)
-    resting: dict[int, Rest] = field(default_factory=dict)
+    paused: dict[int, Pause] = field(default_factory=dict)
     through_gateway: set[Key] = field(default_factory=set)
     _open: dict[Key, Call] = field(default_factory=dict)
     _ended: dict[Key, str] = field(default_factory=dict)
@@ -150,8 +150,8 @@ class Checker:
         """A request left for a unit."""
         key = unit, pdu
         self._sent[key] += 1
-        if unit in self.resting and (early := self.resting[unit].note(self.events.now)) > EXACT:
-            self.fail("a resting unit is not asked", f"{_text(key)}: {early:.3f} s too soon")
+        if unit in self.paused and (early := self.paused[unit].note(self.events.now)) > EXACT:
+            self.fail("a paused unit gets no request", f"{_text(key)}: {early:.3f} s too soon")
         call = self._open.get(key)
         if key in self._refused or (call is None and self._ended.get(key) and self.is_direct(key)):
             how = self._ended.get(key, "refused")

@@ -12,10 +12,10 @@ from tests.services.workers import simulated as workers_simulated
 
 from .fleets import fleet, plant
 from .reports import around_writes, of_odd_hosts, on_busy_line, with_new_clients
-from .rules import Rest
+from .rules import Pause
 from .world import Ask, World, asking_gateway, clients
 
-# How long everybody is left alone when the faults are over: units rest for half a minute at most.
+# How long no client asks after the faults: units are paused for half a minute at most.
 SETTLING = 70.0
 
 
@@ -123,7 +123,7 @@ async def _past_silent_unit(world: World) -> None:
         place = world.host("tcp://10.0.0.1", numbers, timeout)
         url = f"{place}?timeout={timeout}&max_in_flight=16"
     world.units[0].behaviour = replace(world.units[0].behaviour, silent=1.0)
-    world.checker.resting[1] = Rest(timeout)
+    world.checker.paused[1] = Pause(timeout)
     gateway = Gateway([Route(url, numbers)])
     async with asking_gateway(world, gateway, options.clients, 5.0) as asks:
         await _play(world, asks, numbers)

@@ -112,9 +112,9 @@ class World:
         return host.url
 
     def calm(self) -> None:
-        """End all faults, and with them the rests of silent units."""
+        """End all faults, and with them the pauses of silent units."""
         self.is_calm = True
-        self.checker.resting.clear()
+        self.checker.paused.clear()
         for unit in self.units:
             unit.behave()
         for host in self.hosts:

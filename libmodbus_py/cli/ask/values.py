@@ -86,7 +86,7 @@ rare --max-registers N
 
 OF_WATCH = """
 --watch [SECONDS]
-    poll until Ctrl-C, each second unless given; on a terminal in a table
+    poll until Ctrl-C, by default each second; on a terminal in a table
 --count N
     end after N polls; implies --watch
 --for SECONDS

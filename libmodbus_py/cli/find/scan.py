@@ -198,7 +198,7 @@ def _search(report: _Report) -> None:
             report.deepen(found, searched.extents, searched.requests)
 
 
-# --- what was found --------------------------------------------------------------------
+# --- results ---------------------------------------------------------------------------
 
 
 class _Report:

@@ -38,7 +38,7 @@ rare --page-url URL
     https://plant.example/modbus
 rare --page-token FILE
     file with the token of the page, 22 or more letters, digits, - or _, so that its URL stays the
-    same; unless given, {TOKEN} in the environment, or a new one
+    same; by default, {TOKEN} in the environment, or a new one
 """
 
 

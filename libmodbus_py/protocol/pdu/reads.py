@@ -92,7 +92,7 @@ class _ReadRegisters(_Read[list[int]]):
             and pdu[0] == self.function
         ):
             return [*REGISTERS[self.count].unpack_from(pdu, 2)]
-        return WordRequest.decode_response(self, pdu)  # slots make another class: super() fails
+        return WordRequest.decode_response(self, pdu)  # super() fails in a dataclass with slots
 
     def _decode_response(self, pdu: bytes) -> list[int]:
         if pdu[1] != 2 * self.count:

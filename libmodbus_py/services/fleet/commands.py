@@ -56,7 +56,7 @@ def command_of(data: bytes) -> _Command:
 
 
 class Writing(Protocol):
-    """Writes to points of devices by name: a `Fleet`."""
+    """What commands need of a `Fleet`: writes to points of devices, by name."""
 
     statistics: FleetStatistics
 

@@ -44,7 +44,7 @@ class DeviceConfig:
         url: the URL of the connection, with its options, but without `unit`.
         map: the points of the device.
         unit: the unit of the device, 0..255.
-        items: names of the points that are read; all readable points of the map unless given.
+        items: names of the points that are read; by default, all readable points of the map.
         groups: names of groups of points that are read, too (`Point.group`).
         gap: the most unneeded registers or bits in a row that are read to save a request, 0..2000.
         max_registers: the most registers that one request may read from the device, 1..125.

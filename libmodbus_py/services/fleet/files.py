@@ -182,7 +182,7 @@ class _Reader:
             self._mistakes.append(error.in_file(str(path)).under(("devices",)))
 
     def _device(self, own: dict[str, Any], folder: FilePath) -> DeviceConfig:
-        """Return the device of some keys, with the defaults; labels are merged."""
+        """Return the device that these keys describe, with the defaults; labels are merged."""
         usual = dict(self._defaults)
         bands = usual.pop("dead_bands", {})
         keys = {**usual, **own}

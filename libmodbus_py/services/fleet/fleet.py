@@ -68,7 +68,7 @@ class Fleet:
     Polls many devices, each at its interval, with asyncio.
 
     Devices with the same URL share a connection. Their phases are spread, so that thousands of
-    polls do not begin at once. A device that does not answer rests, longer each time up to a
+    polls do not begin at once. A device that does not answer is paused, longer each time up to a
     minute, and delays the other devices of its line by no more than the time of one answer. A
     poll that is due while the previous poll of the device is still under way is skipped and
     counted.
@@ -278,7 +278,7 @@ class Fleet:
             poller.forget()
 
     def report_offline(self, devices: Iterable[DeviceConfig]) -> None:
-        """Report all points of devices as "offline" that no fleet polls."""
+        """Report all points of devices that no fleet polls as "offline"."""
         now = time.time()
         for device in devices:
             self._receivers.put_readings(offline(device, now))

@@ -30,14 +30,14 @@ from ...maps.refusals import PartialAnswer, Refusals, UnreadableItem, is_refusal
 from ...maps.watched import TOLERANCE, PointIntervals, Totals
 from ...protocol.errors import ModbusConnectionError, ModbusError
 from ...protocol.logs import HarmlessLogger
-from ..line import FairQueue, LineRequest, SharedLine, rest_after
+from ..line import FairQueue, LineRequest, SharedLine, pause_after
 from .config import DeviceConfig, Reads
 from .readings import Changes, Reading, classification, is_down
 from .statistics import FleetStatistics
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-LONGEST_REST_S = 60.0
+LONGEST_PAUSE_S = 60.0
 """The time between two trials of a device that does not answer, unless its interval is longer."""
 
 PAUSE_S = 0.05
@@ -79,7 +79,7 @@ class Poller(LineRequest):
         self.reads: Reads = config.reads
         self.at: float = math.inf
         self.answered_at: float = 0.0
-        self.rest_until: float = 0.0
+        self.pause_until: float = 0.0
         own = self.reads.intervals
         self._pace = PointIntervals(own, config.interval) if any(own) else None
         self._due: tuple[int, ...] | None = None
@@ -119,8 +119,8 @@ class Poller(LineRequest):
 
     @property
     def pause(self) -> float:
-        """Seconds that the device rests after a poll without an answer."""
-        return rest_after(self.misses, self.interval, LONGEST_REST_S)
+        """Seconds for which the device is paused after a poll without an answer."""
+        return pause_after(self.misses, self.interval, LONGEST_PAUSE_S)
 
     @property
     def is_refused(self) -> bool:
@@ -199,7 +199,7 @@ class Poller(LineRequest):
             self._outcomes += [outcome] * (len(self._requests) - len(self._outcomes))
         if len(self._outcomes) == len(self._requests):
             self._go_on()
-        self.rest_until = now + self.config.spacing
+        self.pause_until = now + self.config.spacing
         self._advance()
         if self.request is not None:
             return
@@ -376,10 +376,10 @@ class FleetLine(SharedLine[Poller]):
             self.due(poller, self._loop.time())
 
     def _ready_at(self, job: Poller) -> float:
-        return max(super()._ready_at(job), job.rest_until)
+        return max(super()._ready_at(job), job.pause_until)
 
     def _end_overstayed(self, now: float) -> None:
-        if any(poller.rest_until <= now for poller in self.others()):  # the others wait
+        if any(poller.pause_until <= now for poller in self.others()):  # the others wait
             super()._end_overstayed(now)
 
     def _send(self, job: Poller, now: float) -> None:

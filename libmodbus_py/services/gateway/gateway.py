@@ -33,7 +33,7 @@ class Gateway(Serving):
 
     Requests of any function are forwarded, as bytes. A client gets exception 10 for a unit without
     a route, 11 for a unit that does not answer, 6 if too many requests wait. Clients take turns.
-    A unit that does not answer rests, longer each time, and is then tried when no other request
+    A unit that does not answer is paused, longer each time, and then tried when no other request
     waits; until it answers, requests to it get exception 11 at once.
 
     Unit 0 is a broadcast unless it has a route: writes are sent to every line. A broadcast gets

@@ -6,7 +6,8 @@ rest.
    after the last write to the unit.
 2. Equal reads that wait are sent once (`merge`). No read joins one that was sent, or one that was
    given before a write to the unit.
-3. What gave no answer rests (`SilentUnits`); requests that wait for it are refused with it.
+3. A unit or function without an answer is paused (`SilentUnits`); requests that wait for it are
+   refused.
 """
 
 from __future__ import annotations
@@ -240,8 +241,8 @@ class GatewayLine(SharedLine[ForwardedRequest]):
         if self.is_closed or (self._is_broadcast(forwarded) and not request.may_be_broadcast):
             return NO_ANSWER
         state = self._silent.state(unit, request.function, now)
-        if state is UnitState.RESTING:
-            self.statistics.unit(unit).resting += 1
+        if state is UnitState.PAUSED:
+            self.statistics.unit(unit).refused += 1
             return NO_ANSWER
         if not request.is_read:
             self._note_write(unit, now)
@@ -373,12 +374,12 @@ class GatewayLine(SharedLine[ForwardedRequest]):
         return False
 
     def _note_silence(self, silent: ForwardedRequest, now: float, reason: str = "") -> None:
-        """Let what gave no answer rest, and refuse the requests that wait for it."""
+        """Pause the unit or function that gave no answer, and refuse what waits for it."""
         unit, function = silent.unit, silent.request.function
         if self._is_broadcast(silent):
             return
         is_new = self._silent.note_silence(unit, function, now)
-        is_whole = self._silent.rests(unit)
+        is_whole = self._silent.is_paused(unit)
         if is_new:
             what = "" if is_whole else f" function {function}"
             logger.info("%s: unit %d does not answer%s%s", self.url, unit, what, reason)
@@ -389,7 +390,7 @@ class GatewayLine(SharedLine[ForwardedRequest]):
             )
             if is_same and not (forwarded.is_trial or forwarded.is_sent):
                 self.withdraw(forwarded)
-                self.statistics.unit(unit).resting += 1
+                self.statistics.unit(unit).refused += 1
                 self._refuse(forwarded, NO_ANSWER)
 
     def _refuse(self, forwarded: ForwardedRequest, code: int) -> None:

@@ -122,7 +122,7 @@ def _unit_name(line: LineStatistics, number: int) -> str:
 
 
 def _has_only_failed(unit: UnitStatistics) -> bool:
-    """Return True if requests failed, the unit has never answered, and does not rest."""
+    """Return True if requests failed, the unit has never answered, and is not paused."""
     failures = unit.timeouts or unit.invalid  # without a connection, the line is down
     return bool(failures) and not unit.answers and not unit.is_silent
 
@@ -146,13 +146,13 @@ def _unit_row(name: Name, unit: UnitStatistics, spark: Spark) -> GatewayRow:
         word = "silent" if unit.is_silent else "answers" if unit.answers else "new"
         if _has_only_failed(unit):
             word = "no answer"
-        reason = f"{unit.resting} requests refused meanwhile" if unit.is_silent else ""
+        reason = f"{unit.refused} requests refused meanwhile" if unit.is_silent else ""
         mean = f"mean {unit.mean_us / 1000:.1f} ms" if unit.answers else ""
         numbers = _listed(
             exceptions=unit.exceptions,
             timeouts=unit.timeouts,
             invalid=unit.invalid,
-            refused=unit.resting,
+            refused=unit.refused,
             cached=unit.cached,
         )
         counted = {"requests": unit.requests, "answers": unit.answers}

@@ -40,13 +40,13 @@ class UnitStatistics:
         timeouts: requests without a response in time.
         invalid: requests with an invalid response.
         lost: requests without a connection, or whose connection was lost.
-        resting: requests answered with exception 11 at once because the unit, or the function
+        refused: requests answered with exception 11 at once because the unit, or the function
             of the unit, was silent.
         given_up: trials of a silent unit that were ended because other requests waited.
         cached: requests answered from the cache.
         merged: requests answered with the response to an equal request.
         seconds: total response time, in seconds.
-        is_silent: True if the unit rests, because it answers nothing.
+        is_silent: True if the unit is paused, because it answers nothing.
     """
 
     requests: int = 0
@@ -55,7 +55,7 @@ class UnitStatistics:
     timeouts: int = 0
     invalid: int = 0
     lost: int = 0
-    resting: int = 0
+    refused: int = 0
     given_up: int = 0
     cached: int = 0
     merged: int = 0
@@ -153,7 +153,7 @@ numbers_of_line = attrgetter(
 )
 
 numbers_of_unit = attrgetter(
-    *("requests", "answers", "exceptions", "timeouts", "invalid", "lost", "resting"),
+    *("requests", "answers", "exceptions", "timeouts", "invalid", "lost", "refused"),
     *("saved", "mean_us", "is_silent"),
 )
 

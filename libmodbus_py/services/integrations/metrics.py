@@ -128,11 +128,11 @@ OF_ATTRIBUTES: dict[type, dict[str, Family]] = {
         ("timeouts", COUNTER, "Requests without a response in time."),
         ("invalid", COUNTER, "Requests with an invalid response."),
         ("lost", COUNTER, "Requests without a connection, or whose connection was lost."),
-        ("resting", COUNTER, "Requests answered with exception 11 at once: the unit was silent."),
+        ("refused", COUNTER, "Requests answered with exception 11 at once: the unit was silent."),
         ("given_up", COUNTER, "Trials of a silent unit ended because other requests waited."),
         ("cached", COUNTER, "Requests answered from the cache."),
         ("merged", COUNTER, "Requests answered with the response to an equal request."),
-        ("is_silent", GAUGE, "1 if the unit rests, because it answers nothing."),
+        ("is_silent", GAUGE, "1 if the unit is paused, because it answers nothing."),
         ("seconds", COUNTER, "Total response time, in seconds."),
     ),
     FleetStatistics: _attributes(

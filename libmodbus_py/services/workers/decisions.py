@@ -66,7 +66,7 @@ UNSEEN = 0.5
 # The time after which the bucket is read again, in leases: no change reports that a key was purged.
 READ_AGAIN = 60
 
-# The time for which a slot may be without a worker, in leases: after 1.05, another one has it.
+# The time for which a slot may be without a worker, in leases: after 1.05, another worker has it.
 UNSERVED = 1.5
 
 # Seconds for which ended workers stay in the bucket, for `fleet status`.

@@ -281,7 +281,7 @@ class TracePairing:
             oldest = next(iter(self._connections))
             self._connections[oldest].tick(math.inf)
             self._collect(oldest[1], self._connections.pop(oldest))
-        self._connections[key] = pairing  # the latest is the last
+        self._connections[key] = pairing  # the oldest comes first
         return pairing
 
     def _collect(self, peer: str | None, pairing: Pairing) -> None:

@@ -35,7 +35,7 @@ CONNECT_TIMEOUT = 10.0
 # Seconds without a byte after which a connection ends, as at a server (`Limits.idle_timeout`).
 IDLE = 3600.0
 
-LEAVING = 60.0  # the same when one side has closed its direction, or takes no bytes
+LEAVING = 60.0  # the same, once one side has sent its last byte or takes no bytes
 KEEPALIVE = 30.0  # seconds of silence after which the system probes a side, as for clients
 READ_SIZE = 65_536  # bytes that are read at once
 

@@ -170,7 +170,7 @@ class _PlaceScan:
         self._unit_errors: dict[int, ModbusError] = {}
         self._latest = 0.0
         self._others = 0
-        # The units that are answered like those that cannot exist, and the answers of these.
+        # Units with the same answer as units that cannot exist, and the answer.
         self._alike: list[tuple[int, Answer]] = []
         self._impossible: set[int | None] | None = None
 

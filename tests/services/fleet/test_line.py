@@ -162,7 +162,7 @@ class TestSilentDevices:
             assert len(plant.times(9)) == 7
 
     @in_simulated_time
-    async def test_a_try_makes_no_way_for_one_that_rests(self) -> None:
+    async def test_a_try_makes_no_way_for_a_paused_one(self) -> None:
         plant = Plant()
         async with plant.polls(plant.device(9), plant.device(1, spacing=3.0)):
             plant.silent.add(9)
@@ -269,7 +269,7 @@ class TestChanges:
             assert plant.asked == []
             assert plant.fleet.statistics.down == 3
             plant.network.listen(plant.peer.url, plant.peer._accept)
-            # One that rests for a minute is asked when another finds the connection.
+            # One that is paused for a minute is asked when another finds the connection.
             start = plant.now
             while plant.fleet.statistics.up < 3:
                 await asyncio.sleep(0.1)

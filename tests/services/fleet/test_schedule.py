@@ -22,7 +22,7 @@ def test_phases_are_spread_evenly() -> None:
     assert 100 < min(counts) <= max(counts) < 300
 
 
-# Simulated seconds: of a device's polls unless given, and between two looks at what is so.
+# Simulated seconds: of a device's polls by default, and between two looks at what is so.
 INTERVAL, LOOK = 1.0, 0.001
 
 COUNTED = {"up", "down", "polls", "failures", "refusals", "skipped", "vetoes", "readings"}

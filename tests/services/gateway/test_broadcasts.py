@@ -70,7 +70,7 @@ def test_a_broadcast_is_done_when_all_lines_have_sent_it(lan: Lan) -> None:
             context.write_register(0, 1)
         assert lan.now - start == pytest.approx(500, abs=0.1)
         assert device.mapping.holding_registers[0] == 1
-        # What did not answer rests.
+        # The unit that did not answer is paused.
         with pytest.raises(GatewayTargetFailedToRespond):
             context.write_register(0, 2)
         assert lan.now - start == pytest.approx(500, abs=0.2)

@@ -58,13 +58,13 @@ CASES = {
         [(2, READ), (2, READ)],
         ["830b", "830b"],
         {"requests": 2},
-        {2: {"requests": 1, "timeouts": 1, "resting": 1, "is_silent": True}},
+        {2: {"requests": 1, "timeouts": 1, "refused": 1, "is_silent": True}},
     ),
     "requests that waited for a silent unit": Case(
         [(2, READ), (2, READ), (2, "04 0000 0001")],
         ["830b", "840b", "830b"],
         {"requests": 3},
-        {2: {"requests": 1, "timeouts": 1, "resting": 2, "is_silent": True}},
+        {2: {"requests": 1, "timeouts": 1, "refused": 2, "is_silent": True}},
         together=True,
     ),
     "a damaged answer": Case(

@@ -44,7 +44,7 @@ async def test_a_silent_unit_rests_and_is_tried_by_one_request(plant: Plant, cap
     assert second.answers == [f"84{NO_ANSWER:02x}"]
     plant.ask(9, third)
     assert third.answers == [f"code {NO_ANSWER}"]
-    assert (plant.unit(9).timeouts, plant.unit(9).resting) == (1, 2)
+    assert (plant.unit(9).timeouts, plant.unit(9).refused) == (1, 2)
     assert plant.unit(9).is_silent
     plant.silent.clear()
     await asyncio.sleep(2 * TIMEOUT)
@@ -69,7 +69,7 @@ async def test_a_refused_response_is_logged_with_its_reason(plant: Plant, caplog
 
 
 @on_line("tcp://10.0.0.1?timeout=0.5")
-async def test_a_trial_whose_connection_is_lost_is_followed_by_a_longer_rest(plant: Plant) -> None:
+async def test_a_trial_whose_connection_is_lost_is_followed_by_a_longer_pause(plant: Plant) -> None:
     plant.silent.add(9)
     plant.ask(9, Asker())
     await asyncio.sleep(2)
@@ -90,7 +90,7 @@ async def test_a_trial_whose_connection_is_lost_is_followed_by_a_longer_rest(pla
 
 
 @on_line()
-async def test_a_unit_that_answers_nothing_rests(plant: Plant, caplog) -> None:
+async def test_a_unit_that_without_an_answer_is_paused(plant: Plant, caplog) -> None:
     caplog.set_level(logging.INFO, logger=TOLD)
     asker = Asker()
     for request in (READ, UNKNOWN):
@@ -110,7 +110,7 @@ async def test_a_unit_that_answers_nothing_rests(plant: Plant, caplog) -> None:
     plant.ask(9, asker)
     await asyncio.sleep(0.4)
     assert not plant.unit(9).is_silent
-    plant.ask(9, asker, UNKNOWN)  # it rests no longer than its unit
+    plant.ask(9, asker, UNKNOWN)  # it is paused no longer than its unit
     await asyncio.sleep(1)
     assert asker.answers[-1] == "0800000001"
     assert logged(caplog) == [

@@ -61,7 +61,7 @@ def test_a_write_is_recorded_with_its_outcome(lan: Lan, events: Events) -> None:
         context.write_register(0, 5)
         with pytest.raises(GatewayTargetFailedToRespond):
             context.for_unit(2).write_register(0, 5)
-        with pytest.raises(GatewayTargetFailedToRespond):  # it rests
+        with pytest.raises(GatewayTargetFailedToRespond):  # it is paused
             context.for_unit(2).write_register(0, 5)
         context.for_unit(0).write_register(0, 5)
         context.read_holding_registers(0, 1)

@@ -86,7 +86,7 @@ def test_a_line_has_its_counters_and_its_state() -> None:
 def test_a_unit_has_its_counters_and_its_state() -> None:
     counted = Counted()
     name, unit = f"{FIRST} unit 3", counted.lines[0].unit(3)
-    unit.requests, unit.timeouts, unit.invalid, unit.resting, unit.cached = 9, 2, 3, 4, 5
+    unit.requests, unit.timeouts, unit.invalid, unit.refused, unit.cached = 9, 2, 3, 4, 5
     details = "timeouts 2, invalid 3, refused 4, cached 5"
     assert cells(counted.shown)[name] == {
         "name": {"group": FIRST, "own": "unit 3"},

@@ -24,7 +24,7 @@ from tests.simulation.scripted import Scripted, Write
 from tests.support.cases import each_case
 from tests.support.gateways import passage
 
-GOOD, RESTING, DUE = UnitState.GOOD, UnitState.RESTING, UnitState.DUE
+GOOD, PAUSED, DUE = UnitState.GOOD, UnitState.PAUSED, UnitState.DUE
 
 
 def value(unit: int, address: int) -> int:
@@ -130,7 +130,7 @@ def test_a_write_waits_for_the_repetition_of_the_read_before_it(target: str) -> 
                 assert client.makefile("rb").read(len(answers)) == answers
 
 
-def test_requests_that_were_in_flight_with_it_do_not_make_it_rest_longer() -> None:
+def test_requests_that_were_in_flight_with_it_do_not_make_its_pause_longer() -> None:
     units = SilentUnits(1.0)
     assert units.note_silence(3, 3, 0.0)
     assert not units.note_silence(3, 3, 1.0)

@@ -230,7 +230,7 @@ def identifier(*names: str, within: tuple[str, ...] = ()) -> str:
     return f"{text[:LONGEST_SLUG]}_{digest}"
 
 
-# --- what an entity is -------------------------------------------------------------------------
+# --- entities ----------------------------------------------------------------------------------
 
 Kind = Literal["states", "flag", "number", "time", "text"]
 

@@ -42,7 +42,7 @@ def as_json(readings: Iterable[Reading]) -> bytes:
 
 
 def _fields(reading: Reading, with_labels: bool = True) -> str:
-    """Return the end of an object of JSON, formatted directly: others are too slow."""
+    """Return the end of an object of JSON, formatted here, because `json` is too slow."""
     time, _, _, value, units, quality, reason, number, labels = reading
     return (
         f'"time": "{_time_text(time)}", "value": {_number(value)}, "unit": {_quoted(units)},'

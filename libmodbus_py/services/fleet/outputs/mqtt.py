@@ -266,7 +266,7 @@ def _check_discovery(discovery: object, topics: Mapping[str, str], *, has_all: b
         raise WrongValue("retain", "must be true with discovery and a topic without {name}")
 
 
-# --- what the broker retains --------------------------------------------------------------------
+# --- retained messages --------------------------------------------------------------------------
 
 
 class Messages:

@@ -196,7 +196,7 @@ class ModbusConnection(theirs.ModbusConnection):
             raise theirs.ModbusConnectionError("the connection was lost before the request")
         return self._client.for_unit(unit)
 
-    # --- what the base class calls: it decides when to connect, to wait and to close ----------
+    # --- methods for the base class, which decides when to connect, to wait and to close ------
 
     async def _connect_client(self) -> AsyncClient:
         client = AsyncClient(
