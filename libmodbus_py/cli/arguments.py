@@ -81,8 +81,8 @@ def typed_options(options: argparse.Namespace, names: Collection[str]) -> dict[s
 
 def refuse_options(options: argparse.Namespace, names: Collection[str], why: str) -> None:
     """Raise ValueError if one of some options was typed: its name, and why it cannot be."""
-    if typed := typed_options(options, names):
-        raise ValueError(f"{flag(next(iter(typed)))} {why}")
+    if values := typed_options(options, names):
+        raise ValueError(f"{flag(next(iter(values)))} {why}")
 
 
 # --- arguments of several commands --------------------------------------------------------------
@@ -131,8 +131,8 @@ def add_columns(group: Any, rare: str = "rare ", *, encoding: bool = False) -> N
         key, _, heading = text.partition("=")
         if key and heading:
             return key, heading
-        wanted = f"must be KEY=HEADING, such as name=Bezeichnung, not {text!r}"
-        raise argparse.ArgumentTypeError(wanted)
+        reason = f"must be KEY=HEADING, such as name=Bezeichnung, not {text!r}"
+        raise argparse.ArgumentTypeError(reason)
 
     kinds = {
         "column": {"dest": "columns", "type": column, "default": []},
@@ -168,8 +168,8 @@ OF_LISTS = (
 def _of_list(text: str) -> tuple[str, Any]:
     key, _, value = text.partition("=")
     if key not in LIST_KEYS or not value or (key in ("only", "types") and "=" not in value):
-        wanted = f"must be KEY=VALUE, with a key of {', '.join(LIST_KEYS)}, not {text!r}"
-        raise argparse.ArgumentTypeError(wanted)
+        reason = f"must be KEY=VALUE, with a key of {', '.join(LIST_KEYS)}, not {text!r}"
+        raise argparse.ArgumentTypeError(reason)
     word, _, meaning = value.rpartition("=")
     return key, {word: meaning} if key in ("only", "types") else value
 
@@ -182,10 +182,10 @@ def list_keys(options: argparse.Namespace) -> dict[str, Any]:
     columns: dict[str, Any] = {}
     for kind, heading in options.columns:
         columns[kind] = [*columns.get(kind, ()), heading] if kind == "nothing" else heading
-    said = {"columns": columns, "origin": options.origin, **keys}
+    settings = {"columns": columns, "origin": options.origin, **keys}
     if encoding := getattr(options, "list_encoding", None):
-        said["encoding"] = encoding
-    return {name: value for name, value in said.items() if value}
+        settings["encoding"] = encoding
+    return {name: value for name, value in settings.items() if value}
 
 
 class _Form(argparse.Action):
@@ -267,8 +267,8 @@ def _add(
             more["action"] = "append"
         if name == "parity":
             more["complete"] = PARITY_WORDS
-        repeated = "; may be repeated" * (name in REPEATED)
-        declare(group, f"{head}\n  {option.summary}{repeated}", usual, **{name: more})
+        remark = "; may be repeated" * (name in REPEATED)
+        declare(group, f"{head}\n  {option.summary}{remark}", usual, **{name: more})
 
 
 def read_as(form: Form, separator: str | None = None) -> Callable[[str], Any]:
@@ -303,7 +303,7 @@ PARITY_WORDS = [word for word in PARITIES if len(word) > 1]
 def lists_of_parities(prefix: str, **_: Any) -> list[str]:
     """Return the words that continue a list of parities that was begun."""
     before, comma, _last = prefix.rpartition(",")
-    return [f"{before}{comma}{each}" for each in PARITY_WORDS if each not in before.split(",")]
+    return [f"{before}{comma}{word}" for word in PARITY_WORDS if word not in before.split(",")]
 
 
 def names_of_maps(**_: Any) -> list[str]:
@@ -349,19 +349,19 @@ def with_options(
     from ..ports.endpoint import parse
 
     endpoints = [parse(url) for url in urls]
-    typed = typed_options(options, names)
-    typed |= {name: ",".join(typed[name]) for name in REPEATED if name in typed}
-    useful = {name for each in endpoints for name in options_of(each.scheme)}
+    values = typed_options(options, names)
+    values |= {name: ",".join(values[name]) for name in REPEATED if name in values}
+    useful = {name for endpoint in endpoints for name in options_of(endpoint.scheme)}
     for transport, rules in TRANSPORTS.items():
-        useless = [name for name in typed if name in rules.options and name not in useful]
+        useless = [name for name in values if name in rules.options and name not in useful]
         if useless:
-            wanted = "serial ports" if rules.is_serial else f"{transport}:// URLs"
+            kind = "serial ports" if rules.is_serial else f"{transport}:// URLs"
             places = ", ".join(map(str, endpoints))
-            raise ValueError(f"{flag(useless[0])} applies to {wanted} only, not to {places}")
-    client = {name: value for name, value in typed.items() if name in CLIENT_OPTIONS}
+            raise ValueError(f"{flag(useless[0])} applies to {kind} only, not to {places}")
+    client = {name: value for name, value in values.items() if name in CLIENT_OPTIONS}
     result = []
-    for each in endpoints:
-        own = {name: typed[name] for name in options_of(each.scheme) if name in typed}
-        settings, of_client = {**each.options, **own}, {**each.client_options, **client}
-        result.append(replace(each, options=settings, client_options=of_client))
+    for endpoint in endpoints:
+        own = {name: values[name] for name in options_of(endpoint.scheme) if name in values}
+        settings, of_client = {**endpoint.options, **own}, {**endpoint.client_options, **client}
+        result.append(replace(endpoint, options=settings, client_options=of_client))
     return result

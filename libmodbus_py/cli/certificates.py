@@ -114,8 +114,8 @@ def _list(authority: Authority) -> None:
         return counted(int(days), "day") if days >= 0 else "expired"
 
     rows = [
-        (each.name, each.serial, "revoked" if each.is_revoked else left(each.ends), each.purpose)
-        for each in authority.issued().values()
+        (row.name, row.serial, "revoked" if row.is_revoked else left(row.ends), row.purpose)
+        for row in authority.issued().values()
     ]
     if authority.list_ends is not None:
         rows.append((authority.list_path.stem, "", left(authority.list_ends), "revocation list"))
@@ -143,10 +143,10 @@ def _make_for_machines(directory: Path, machines: Iterable[str], days: int) -> i
     authority = load(directory, "ca")
     is_new = authority is None
     authority = authority or make("Modbus authority", is_authority=True, days=AUTHORITY_DAYS)
-    made = {machine: make(machine, authority, hosts=[machine], days=days) for machine in machines}
+    files = {machine: make(machine, authority, hosts=[machine], days=days) for machine in machines}
     if is_new:
         write(directory, {"ca": authority}, replaces=True)  # of a key alone nothing is known
-    for machine, identity in made.items():
+    for machine, identity in files.items():
         folder = directory / machine
         write(folder, {"server": identity}, replaces=True)
         (folder / "ca.pem").write_bytes(authority.pem)
@@ -160,7 +160,7 @@ def _make_for_trials(options: argparse.Namespace) -> int:
     hosts = tuple(dict.fromkeys([*HOSTS, *(options.host or ())]))
     days = options.days
     authority = make("Modbus trial authority", is_authority=True, days=days)
-    made = {
+    certificates = {
         "ca": (authority, "the authority"),
         "server": (
             make("Modbus trial server", authority, hosts=hosts, days=days),
@@ -173,19 +173,19 @@ def _make_for_trials(options: argparse.Namespace) -> int:
     }
     for role in options.role or ROLES:
         file = re.sub(r"\W+", "-", role.lower()).strip("-")
-        if not file or file in made or file == "crl":
+        if not file or file in certificates or file == "crl":
             raise ValueError(f"--role {role!r} gives no file name of its own, but {file!r}")
         identity = make(f"Modbus trial {role}", authority, role=role, days=days)
-        made[file] = identity, f"a client with the role {role}"
-    paths = write(options.dir, {file: identity for file, (identity, _) in made.items()})
+        certificates[file] = identity, f"a client with the role {role}"
+    paths = write(options.dir, {file: identity for file, (identity, _) in certificates.items()})
     for file, (certificate, key) in paths.items():
-        print(f"{certificate}, {key.name}: {made[file][1]}")
+        print(f"{certificate}, {key.name}: {certificates[file][1]}")
 
     def options_of(file: str) -> str:
         files = zip(("cert", "key", "ca"), (*paths[file], paths["ca"][0]), strict=True)
         return " ".join(f"--{option} {shlex.quote(str(path))}" for option, path in files)
 
-    client = [*made][3]  # the first role
+    client = [*certificates][3]  # the first role
     print("\nTo try them:")
     print(f"  libmodbus-py serve {ENDPOINT} {options_of('server')}")
     print(f"  libmodbus-py read {ENDPOINT} holding 0 {options_of(client)}")

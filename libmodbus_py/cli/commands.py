@@ -84,22 +84,22 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     if parser.commands:  # they have their own parsers
         if others and not others[0].startswith("-") and others[0] not in parser.commands:
             parser.refuse_command(others[0])
-        found, unknown = parser.parse_known_args(shield_negatives(others))
+        result, unknown = parser.parse_known_args(shield_negatives(others))
     else:  # options may be anywhere between the words
         if message := equivalents(name, parser.flags, others):
             parser.error(message)
         words = shield_negatives(with_forms(parser, others))
-        found, unknown = parser.parse_known_intermixed_args(words)
+        result, unknown = parser.parse_known_intermixed_args(words)
     if unknown:
         from ..protocol.mistakes import close_to
 
-        flags = found.parser.flags
+        flags = result.parser.flags
         option = next((word for word in unknown if word.startswith("-")), "").partition("=")[0]
-        close = close_to(option[2:], [each[2:] for each in flags if each[:2] == "--"], "--")
+        close = close_to(option[2:], [flag[2:] for flag in flags if flag[:2] == "--"], "--")
         if name == "poll" and not option:
             close = f"; {PROGRAM} read {' '.join(others)} --watch polls without a fleet file"
-        found.parser.error(f"unrecognized arguments: {' '.join(map(str.strip, unknown))}{close}")
-    return found
+        result.parser.error(f"unrecognized arguments: {' '.join(map(str.strip, unknown))}{close}")
+    return result
 
 
 def _is_read(arguments: Sequence[str]) -> bool:
@@ -119,7 +119,7 @@ def parser_of(name: str) -> Parser:
     return parser
 
 
-def whole_parser(filled: Collection[str]) -> Parser:
+def whole_parser(names: Collection[str]) -> Parser:
     """Return a parser that knows all commands, and the arguments of `filled`, which it imports."""
     parser = Parser(
         prog=PROGRAM,
@@ -131,6 +131,6 @@ def whole_parser(filled: Collection[str]) -> Parser:
     add = parser.add_commands("COMMAND")
     for name, (module, about) in COMMANDS.items():
         command = add(name, about)
-        if name in filled:
+        if name in names:
             import_module(f".{module}", __package__).add_command(command)
     return parser

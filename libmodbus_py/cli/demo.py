@@ -119,8 +119,8 @@ def _show(line: str, context: Client, request: pdu.Request[Any], expected: Any, 
         data = wire.sent_by(sender)
         text = repr(data.decode())[1:-1] if line == "ASCII" else data.hex(" ").upper()
         _print_row(name, text)
-    shown = str(answer) if right else f"{answer} (WRONG)"
-    _print_row("answer", styled(shown, GREEN if right else RED))
+    answer_text = str(answer) if right else f"{answer} (WRONG)"
+    _print_row("answer", styled(answer_text, GREEN if right else RED))
     return right
 
 

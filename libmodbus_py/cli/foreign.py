@@ -76,8 +76,8 @@ def equivalents(command: str, flags: Mapping[str, Any], words: Sequence[str]) ->
     """
     hints: list[str] = []
     words = words[: words.index("--")] if "--" in words else words
-    for at, typed in enumerate(words):
-        word, _, value = typed.partition("=")
+    for at, argument in enumerate(words):
+        word, _, value = argument.partition("=")
         following = words[at + 1] if at + 1 < len(words) else ""
         if word not in SWITCHES and not value and not following.startswith("-"):
             value = following

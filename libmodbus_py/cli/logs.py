@@ -64,16 +64,16 @@ def called_before_lines(function: Callable[[], object]) -> Iterator[None]:
         function()
         return True
 
-    filtered = [*logging.getLogger().handlers]
-    if not filtered and logging.lastResort is not None:
-        filtered = [logging.lastResort]
-    for each in filtered:
-        each.addFilter(is_printed)
+    handlers = [*logging.getLogger().handlers]
+    if not handlers and logging.lastResort is not None:
+        handlers = [logging.lastResort]
+    for handler in handlers:
+        handler.addFilter(is_printed)
     try:
         yield
     finally:
-        for each in filtered:
-            each.removeFilter(is_printed)
+        for handler in handlers:
+            handler.removeFilter(is_printed)
 
 
 class _Handler(logging.StreamHandler[Any]):

@@ -51,9 +51,9 @@ def _escaped(error: UnicodeError) -> tuple[str, int]:
 def abandon() -> None:
     """Discard the buffered output and all that follows; writing it at exit would fail again."""
     with contextlib.suppress(OSError, ValueError):
-        printed = sys.stdout.fileno()
+        descriptor = sys.stdout.fileno()
         nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, printed)
+        os.dup2(nowhere, descriptor)
         os.close(nowhere)
 
 
@@ -227,16 +227,16 @@ class RedrawnLines:
             more = len(lines) - room + 1
             lines = [*lines[: room - 1], (f"... {more} more", False)]
         fitting = [
-            "".join(each if each.isprintable() else "?" for each in line) for line, _ in lines
+            "".join(char if char.isprintable() else "?" for char in line) for line, _ in lines
         ]
-        drawn = [line[: max(1, columns - 1)] for line in fitting]
+        lines_drawn = [line[: max(1, columns - 1)] for line in fitting]
         text = "\n".join(
             styled(line, "1" if is_bold else "", self._stream)
-            for line, (_, is_bold) in zip(drawn, lines, strict=True)
+            for line, (_, is_bold) in zip(lines_drawn, lines, strict=True)
         )
         self._stream.write(f"{self._back(columns)}{text}\n")
         self._stream.flush()
-        self._drawn = drawn
+        self._drawn = lines_drawn
 
     def clear(self) -> None:
         """Remove the lines, before other output."""
@@ -257,7 +257,7 @@ def _size() -> os.terminal_size:
     return shutil.get_terminal_size()
 
 
-def progress(state: Progress | Searching, found: int = 0) -> str:
+def progress(state: Progress | Searching, count: int = 0) -> str:
     """Return the progress of a scan, which has `found` units, or of a search as one line."""
     from ..tools.scan.search import Searching
 
@@ -265,7 +265,7 @@ def progress(state: Progress | Searching, found: int = 0) -> str:
         table = state.table.replace("_", " ")
         return f"unit {state.unit}, {table}: request {state.requests} of {state.most_requests}"
     return (
-        f"{state.setting}: unit {state.unit}; {state.done} of {state.total} asked, {found} found, "
+        f"{state.setting}: unit {state.unit}; {state.done} of {state.total} asked, {count} found, "
         f"{duration(state.left)} left at most"
     )
 

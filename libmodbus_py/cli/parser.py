@@ -114,14 +114,14 @@ class Parser(argparse.ArgumentParser):
         """Return the line that shows how the command is typed; it names no single options."""
         if self.usage is not None:  # argparse made it before it hides positional arguments
             return f"usage: {self.usage.strip()}\n"
-        needed = [action for action in self._all() if action.required or not action.option_strings]
-        words = map(_typed, needed)
+        needs = [action for action in self._all() if action.required or not action.option_strings]
+        words = map(_typed, needs)
         return f"usage: {' '.join([self.prog, '[OPTIONS]', *words])}\n"
 
     def format_help(self, *, shows_all: bool = False) -> str:
         """Return the help with default values, and without rare options unless all are shown."""
         groups = self.arguments.values()
-        rare = [[each.option_strings[0] for each in group if each.is_rare] for group in groups]
+        rare = [[row.option_strings[0] for row in group if row.is_rare] for group in groups]
         flags = [names[0] for names in rare if names]
         some = ", ".join(dict.fromkeys([*flags[:1], *flags[-1:]]))
         sections: dict[str, list[tuple[str, str]]] = {title: [] for title in self.arguments}
@@ -225,8 +225,8 @@ def declare(
     """
     for block in re.split(r"\n(?=\S)", text.strip()):
         head, _, help = block.partition("\n")
-        shown = head.removeprefix("rare ")
-        flags, options = _shape(shown)
+        usage = head.removeprefix("rare ")
+        flags, options = _shape(usage)
         if options.get("metavar") in TYPES:
             options["type"] = TYPES[options["metavar"]]
         options |= {"help": " ".join(help.split()), **more.get(options["dest"], {})}
@@ -239,7 +239,7 @@ def declare(
         group = target if isinstance(target, Group) else Group(target, usual_title, target)
         action = group.container.add_argument(*(flags or [options.pop("dest")]), **options)
         group.parser.arguments.setdefault(group.title, []).append(action)
-        action.is_rare = head != shown
+        action.is_rare = head != usage
         if usual is not None:
             action.usual = usual
         if words is not None:

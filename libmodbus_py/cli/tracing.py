@@ -22,15 +22,15 @@ class Tracing:
     def __init__(self) -> None:
         self._sent = 0.0
 
-    def __call__(self, traced: TracedFrame) -> None:
-        is_sent = traced.direction == "sent"
-        self._sent = traced.time if is_sent else self._sent
-        inform(_in_columns(traced, None if is_sent else traced.time - self._sent), sys.stderr)
+    def __call__(self, frame: TracedFrame) -> None:
+        is_sent = frame.direction == "sent"
+        self._sent = frame.time if is_sent else self._sent
+        inform(_in_columns(frame, None if is_sent else frame.time - self._sent), sys.stderr)
 
 
-def print_frame(traced: TracedFrame) -> None:
+def print_frame(frame: TracedFrame) -> None:
     """Print a frame of a server to stderr, in the same columns."""
-    inform(_in_columns(traced), sys.stderr)
+    inform(_in_columns(frame), sys.stderr)
 
 
 @contextlib.contextmanager
@@ -59,21 +59,21 @@ class _WireHandler(logging.Handler):
                 print_frame(record.args[0])
 
 
-def _in_columns(traced: TracedFrame, took: float | None = None) -> str:
+def _in_columns(frame: TracedFrame, took: float | None = None) -> str:
     """Return a frame as one line, with the seconds since its request."""
-    clock = clock_text(traced.time, with_milliseconds=True)
-    arrow = ">" if traced.direction == "sent" else "<"
-    unit = "" if traced.unit is None else traced.unit
+    clock = clock_text(frame.time, with_milliseconds=True)
+    arrow = ">" if frame.direction == "sent" else "<"
+    unit = "" if frame.unit is None else frame.unit
     late = "" if took is None else f"{took * 1000:.1f} ms"
-    is_text = traced.endpoint.startswith("ascii") and traced.adu.isascii()
-    shown = repr(traced.adu.decode())[1:-1] if is_text else traced.adu.hex(" ")
-    return f"{clock} {arrow} {unit:>3}  {_function(traced):<24} {late:>9}  {shown}"
+    is_text = frame.endpoint.startswith("ascii") and frame.adu.isascii()
+    text = repr(frame.adu.decode())[1:-1] if is_text else frame.adu.hex(" ")
+    return f"{clock} {arrow} {unit:>3}  {_function(frame):<24} {late:>9}  {text}"
 
 
-def _function(traced: TracedFrame) -> str:
-    if traced.function is None:
+def _function(frame: TracedFrame) -> str:
+    if frame.function is None:
         return "no frame"
-    request = REQUESTS.get(traced.function & 0x7F)
-    if traced.function & 0x80:
+    request = REQUESTS.get(frame.function & 0x7F)
+    if frame.function & 0x80:
         return "refused" if request is None else f"refused {request.__name__}"
-    return f"function {traced.function}" if request is None else request.__name__
+    return f"function {frame.function}" if request is None else request.__name__

@@ -426,17 +426,17 @@ class Matching(ABC):
         """Return the requests in flight, and begin with the next connection."""
 
 
-def no_answer(timeout: float, received: bytes, *, is_held: bool = False) -> ModbusTimeoutError:
+def no_answer(timeout: float, data: bytes, *, is_held: bool = False) -> ModbusTimeoutError:
     """Return the error for no answer; with `is_held`, one was not held long enough (`Line`)."""
     if is_held:
         return ModbusTimeoutError(
-            f"within {timeout:g} s it is unknown whether {in_hex(received)} answers this request "
+            f"within {timeout:g} s it is unknown whether {in_hex(data)} answers this request "
             "or an earlier one",
-            received=received,
+            received=data,
         )
-    if received:
+    if data:
         return ModbusTimeoutError(
-            f"no complete answer within {timeout:g} s, but {in_hex(received)}", received=received
+            f"no complete answer within {timeout:g} s, but {in_hex(data)}", received=data
         )
     return ModbusTimeoutError(f"no answer within {timeout:g} s")
 

@@ -188,11 +188,11 @@ class Transactions:
             return False
         adus: list[bytes] = []
         calls: list[Call] = []
-        unsettled, spacing = self._answered, self._spacing
+        pending, spacing = self._answered, self._spacing
         room, in_flight = queue.half, self.in_flight
         if (is_traced := self._trace.is_on()) is not matching.is_traced:
             matching.trace_frames(is_on=is_traced)
-        while (call := queue.next(now, in_flight, unsettled)) is not None:
+        while (call := queue.next(now, in_flight, pending)) is not None:
             if call.adu:
                 self.statistics.retries += 1
             adu = matching.start(call, now)

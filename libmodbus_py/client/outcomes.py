@@ -140,24 +140,24 @@ def add_hint(error: ModbusError, hint: str) -> None:
     error.args = (f"{error.args[0]}; {hint}",) if hint else error.args
 
 
-def explain(scheme: str, request: bytes, received: bytes) -> str:
+def explain(scheme: str, request: bytes, data: bytes) -> str:
     """Return the likely mistake if such bytes, which are no answer, come; "" if there is none."""
     framing, transport = SCHEMES[scheme]  # type: ignore[index]
     # The header of a TLS record (RFC 8446, 5.1).
-    if scheme in PLAIN and re.match(rb"[\x14-\x17]\x03[\x00-\x04]..", received, re.DOTALL):
+    if scheme in PLAIN and re.match(rb"[\x14-\x17]\x03[\x00-\x04]..", data, re.DOTALL):
         return "this looks like tls://"
-    if framing in ("rtu", "ascii") and received.startswith(request):
+    if framing in ("rtu", "ascii") and data.startswith(request):
         return "the request itself came back; echo=True?"
     others = {SCHEMES[other][0]: other for other in SCHEMES if SCHEMES[other][1] == transport}
     for looks_so, framings in _LOOKS.items():
-        if framing not in framings and looks_so(received):
+        if framing not in framings and looks_so(data):
             names = [others[name] for name in framings if name in others] or framings
             return f"this looks like {names[0]}://"
     if TRANSPORTS[transport].is_listening:
         return "a registration packet or heartbeat? see greeting"
     unit, function = request[0], request[1]
     starts = (bytes([unit, function]), bytes([unit, function | 0x80]))
-    if scheme == "rtu" and not any(start in received for start in starts):
+    if scheme == "rtu" and not any(start in data for start in starts):
         return "only noise; baud rate, parity, A and B swapped?"
     return ""
 

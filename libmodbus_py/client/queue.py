@@ -43,14 +43,14 @@ class Queue:
         """The requests to be sent again, and then those to be sent for the first time."""
         return [*self.again, *self.waiting]
 
-    def next(self, now: float, in_flight: int, unsettled: Collection[Call]) -> Call | None:
+    def next(self, now: float, in_flight: int, pending: Collection[Call]) -> Call | None:
         """
         Remove and return the next request; None, and the alarm is set, if none may be sent.
 
         The `unsettled` requests were answered, and have no outcome yet.
         """
         if not self._has_ids:
-            return None if in_flight or unsettled else self._next_on_line(now)
+            return None if in_flight or pending else self._next_on_line(now)
         if self.write is not None:
             return self._next_again(now) if self.again else None
         if in_flight >= self.limit:
@@ -65,7 +65,7 @@ class Queue:
             call = waiting.popleft()
             if call.is_done:
                 continue
-            if call.changes and (in_flight or unsettled or self.again):
+            if call.changes and (in_flight or pending or self.again):
                 waiting.appendleft(call)
                 return None
             batch = call.batch

@@ -257,7 +257,7 @@ class Auditor(Protocol):
         """Return False if changes must be refused, because none can be recorded."""
         ...
 
-    def note(self, executed: ExecutedRequest) -> None:
+    def note(self, request: ExecutedRequest) -> None:
         """Record a request. Never raises."""
 
 

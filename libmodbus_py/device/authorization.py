@@ -74,28 +74,28 @@ class Authorization:
         self._authorize = timed("authorize", authorize)
         self._log = log or LimitedLog(logger)
 
-    def check(self, asked: ClientRequest) -> None:
+    def check(self, request: ClientRequest) -> None:
         """Raise UnauthorizedError if a request is not allowed, TypeError for no bool."""
-        decision = self._authorize(asked)
+        decision = self._authorize(request)
         if decision is True:
             return
         if decision is not False:
             # A truthy value may be a mistake, and a mistake must not allow access.
             kind = type(decision).__name__
             raise TypeError(f"authorize must return True or False, not {kind}")
-        role = "without a role" if asked.role is None else f"with the role {asked.role!r}"
+        role = "without a role" if request.role is None else f"with the role {request.role!r}"
         message = "%s, %s, may not use %s"
         self._log.warning(
-            message, asked.peer or "a caller", role, what_is_asked(asked), reason=role
+            message, request.peer or "a caller", role, what_is_asked(request), reason=role
         )
-        raise UnauthorizedError("not allowed", function=asked.function)
+        raise UnauthorizedError("not allowed", function=request.function)
 
 
-def what_is_asked(asked: ClientRequest) -> str:
+def what_is_asked(request: ClientRequest) -> str:
     """Return function and unit of a request, and what it touches first, for the log."""
-    ranges = [f"write {_range_text(access)}" for access in asked.writes[:1]]
-    ranges += [f"read {_range_text(access)}" for access in asked.reads[:1]]
-    return ", ".join([f"function {asked.function} of unit {asked.unit}", *ranges])
+    ranges = [f"write {_range_text(access)}" for access in request.writes[:1]]
+    ranges += [f"read {_range_text(access)}" for access in request.reads[:1]]
+    return ", ".join([f"function {request.function} of unit {request.unit}", *ranges])
 
 
 def _range_text(access: Access) -> str:
@@ -143,26 +143,26 @@ class Allow:
             _codes=None if is_all else frozenset(starmap(_code, enumerate(functions))),
         )
 
-    def allows(self, asked: ClientRequest) -> bool:
+    def allows(self, request: ClientRequest) -> bool:
         """
         Return True if a request and all its accesses are allowed.
 
         A request that cannot be decoded is allowed if some request of its function would be
         allowed, so that the client learns what is wrong with it.
         """
-        if asked.request is None:
-            return self._allows_some(asked.function)
-        if type(asked.request) in ACCESSES:
+        if request.request is None:
+            return self._allows_some(request.function)
+        if type(request.request) in ACCESSES:
             return (
-                bool(asked.writes or asked.reads)
-                and all(map(self._writes.cover, asked.writes))
-                and all(map(self._reads.cover, asked.reads))
+                bool(request.writes or request.reads)
+                and all(map(self._writes.cover, request.writes))
+                and all(map(self._reads.cover, request.reads))
             )
         codes = self._codes
         return (
             codes is None
-            or (asked.function, None) in codes
-            or (asked.function, _sub_function(asked.request)) in codes
+            or (request.function, None) in codes
+            or (request.function, _sub_function(request.request)) in codes
         )
 
     def _allows_some(self, function: int) -> bool:
@@ -210,9 +210,9 @@ class Rules:
     def __repr__(self) -> str:
         return f"Rules({self._roles!r})"
 
-    def __call__(self, asked: ClientRequest) -> bool:
-        allow = self._roles.get(asked.role)
-        return allow is not None and allow.allows(asked)
+    def __call__(self, request: ClientRequest) -> bool:
+        allow = self._roles.get(request.role)
+        return allow is not None and allow.allows(request)
 
 
 class _Places:

@@ -436,9 +436,9 @@ class Device(NamedValues, PythonFunctions):
         if self._guard is None:
             return
         accesses = touched(request, caller.who, self.mapping)
-        asked = ClientRequest(caller.role, caller.unit, caller.peer, function, request, *accesses)
+        details = ClientRequest(caller.role, caller.unit, caller.peer, function, request, *accesses)
         try:
-            self._guard.check(asked)
+            self._guard.check(details)
         except BaseException as error:
             if caller.on_unauthorized is not None:
                 caller.on_unauthorized(isinstance(error, UnauthorizedError))
@@ -447,23 +447,23 @@ class Device(NamedValues, PythonFunctions):
     def _execute(self, request: Request[Any], pdu: bytes, log: EventLog, caller: Caller) -> bytes:
         handle = self._handlers.get(type(request))
         find = self._finds.get(type(request))
-        touched = None
+        sides = None
         with self.mapping.lock:
             if self._guard is not None:
                 self._authorize(request.function, request, caller)
             if find is not None:
-                touched = writes, reads = find(request, self.mapping, caller.who)
+                sides = writes, reads = find(request, self.mapping, caller.who)
                 for access in writes + reads if writes else reads:
                     self._check_exists(access)
                 if self._rules is not None:
-                    self._rules.check(touched, self.mapping)
+                    self._rules.check(sides, self.mapping)
                 if not self._hooks.is_empty:
                     if writes or self.has_points:
-                        touched = Accesses(*(tuple(map(self._described, side)) for side in touched))
+                        sides = Accesses(*(tuple(map(self._described, side)) for side in sides))
                     else:
                         for access in reads:  # of this request alone; a copy is a third of its cost
                             object.__setattr__(access, "device", self)
-                    self._hooks.before(touched)
+                    self._hooks.before(sides)
             if handle is not None:
                 response = request.encode_response(handle(self, request, log))
                 if not isinstance(response, bytes) or not 1 <= len(response) <= MAX_PDU:
@@ -472,8 +472,8 @@ class Device(NamedValues, PythonFunctions):
                 response = reply(pdu, self.mapping._struct)
             else:
                 raise IllegalFunction(function=request.function)
-            if touched is not None and touched.writes:
-                self._hooks.after(touched)
+            if sides is not None and sides.writes:
+                self._hooks.after(sides)
         return response
 
     def _log_failure(self, pdu: bytes) -> None:

@@ -127,14 +127,14 @@ class Hooks:
         self.writes: dict[str, tuple[range, ...]] = _places(self._before_write, self._after_write)
         self.is_empty: bool = before_write is after_write is before_read is refresh is None
 
-    def before(self, touched: Accesses) -> None:
+    def before(self, accesses: Accesses) -> None:
         """Call the hooks that may refuse accesses."""
-        _call(self._before_write, touched.writes)
-        _call(self._refresh, touched.reads)
-        _call(self._before_read, touched.reads)
+        _call(self._before_write, accesses.writes)
+        _call(self._refresh, accesses.reads)
+        _call(self._before_read, accesses.reads)
 
-    def after(self, touched: Accesses) -> None:
-        _call(self._after_write, touched.writes)
+    def after(self, accesses: Accesses) -> None:
+        _call(self._after_write, accesses.writes)
 
 
 def _hook(name: str, hook: HookLike | None) -> Hook | None:

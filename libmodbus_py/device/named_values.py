@@ -195,9 +195,9 @@ class RuledCells(NamedTuple):
 class PointIndex:
     """Points by the addresses of their cells, which may overlap."""
 
-    def __init__(self, ruled: Iterable[RuledCells]) -> None:
+    def __init__(self, cells_of_rules: Iterable[RuledCells]) -> None:
         self._rows: defaultdict[TableOrFile, list[tuple[range, Point]]] = defaultdict(list)
-        for rule in sorted(ruled, key=lambda rule: rule.cells.start):
+        for rule in sorted(cells_of_rules, key=lambda rule: rule.cells.start):
             self._rows[rule.place].append((rule.cells, rule.point))
 
     def touched(self, access: Access) -> list[Point]:
@@ -219,36 +219,36 @@ class PointRules:
 
     def __init__(
         self,
-        ruled: Iterable[RuledCells],
+        cells_of_rules: Iterable[RuledCells],
         points: Callable[[], MappingABC[str, Point]] = dict,  # all, with those that scale others
     ) -> None:
-        rules = list(ruled)
+        rules = list(cells_of_rules)
         self._points = points
         self._unreadable = _refused(rules, "write")
         self._unwritable = _refused(rules, "read")
-        bounded = [
+        cells_with_bounds = [
             rule
             for rule in rules
             if rule.point.has_bounds and rule.access != "read" and rule.point.is_writable
             if rule.place[0] in TABLES
         ]
-        self._bounded = PointIndex(bounded)
+        self._bounded = PointIndex(cells_with_bounds)
         self.reads: dict[str, Ranges] = _by_table(self._unreadable.items())
-        in_bounds = [(rule.place, (rule.cells,)) for rule in bounded]
+        in_bounds = [(rule.place, (rule.cells,)) for rule in cells_with_bounds]
         self.writes: dict[str, Ranges] = _by_table([*self._unwritable.items(), *in_bounds])
 
-    def check(self, touched: Accesses, mapping: Mapping) -> None:
+    def check(self, sides: Accesses, mapping: Mapping) -> None:
         """Refuse accesses to existing addresses that break a rule. Hold the mapping's lock."""
         for accesses, forbidden, verb in (
-            (touched.writes, self._unwritable, "written"),
-            (touched.reads, self._unreadable, "read"),
+            (sides.writes, self._unwritable, "written"),
+            (sides.reads, self._unreadable, "read"),
         ):
             for access in accesses:
                 ranges = forbidden.get((access.table, access.file), ())
                 if touches(ranges, access.address, access.count):
                     span = f"{access.table} {access.address}..{access.address + access.count - 1}"
                     raise IllegalDataAddress(f"{span} cannot all be {verb}")
-        points = [point for access in touched.writes for point in self._bounded.touched(access)]
+        points = [point for access in sides.writes for point in self._bounded.touched(access)]
         if not points:
             return
         from ..maps.writing import check_cells
@@ -256,7 +256,7 @@ class PointRules:
         # A request may write only some of the cells of a point.
         writes = {
             (write.table, address): value
-            for write in touched.writes
+            for write in sides.writes
             for address, value in enumerate(write.values, write.address)
         }
         try:
@@ -267,11 +267,11 @@ class PointRules:
             raise IllegalDataValue(str(error)) from None
 
 
-def _refused(ruled: Iterable[RuledCells], refusing: str) -> dict[TableOrFile, Ranges]:
+def _refused(cells_of_rules: Iterable[RuledCells], refusing: str) -> dict[TableOrFile, Ranges]:
     """Return the cells whose points all have one access, by place."""
     refusing_ranges: defaultdict[TableOrFile, list[range]] = defaultdict(list)
     others: defaultdict[TableOrFile, list[range]] = defaultdict(list)
-    for rule in ruled:
+    for rule in cells_of_rules:
         if rule.access is not None:
             (refusing_ranges if rule.access == refusing else others)[rule.place].append(rule.cells)
     return {

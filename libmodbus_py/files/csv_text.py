@@ -78,8 +78,8 @@ class CsvText:
     def _find_head(self, is_known: Callable[[str], bool]) -> None:
         if any(self._rulers[:1]):
             self.delimiter = MARKDOWN
-            known = [sum(map(is_known, self._markdown_cells(at - 1))) for at in self._rulers]
-            ruler = self._rulers[known.index(max(known))]
+            counts = [sum(map(is_known, self._markdown_cells(at - 1))) for at in self._rulers]
+            ruler = self._rulers[counts.index(max(counts))]
             self.head = CsvRow(ruler, self._markdown_cells(ruler - 1))
             self.skipped = sum("|" in line for line in self._lines[:ruler]) - 1
             return

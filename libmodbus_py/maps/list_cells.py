@@ -278,8 +278,10 @@ class SaidColumns(NamedTuple):
     def of(cls, columns: Mapping[str, Any]) -> SaidColumns:
         """Return what the option `columns` says; raise ValueError if a kind does not exist."""
         headings = {**columns}
-        ignored = headings.pop(NOTHING, ())
-        ignored = [ignored] if isinstance(ignored, str) else ignored
+        ignored_headings = headings.pop(NOTHING, ())
+        ignored_headings = (
+            [ignored_headings] if isinstance(ignored_headings, str) else ignored_headings
+        )
         kinds = words().headings | HEADINGS_OF_KINDS
         headings = {kinds.get(word_of(kind), kind): text for kind, text in headings.items()}
         for kind in headings:
@@ -287,7 +289,7 @@ class SaidColumns(NamedTuple):
                 choices = ", ".join((*READERS, NOTHING))
                 hint = close_to(kind, READERS)
                 raise ValueError(f"columns must name some of {choices}, not {kind!r}{hint}")
-        return cls(headings, frozenset(map(word_of, ignored)))
+        return cls(headings, frozenset(map(word_of, ignored_headings)))
 
 
 def find_columns(
@@ -303,7 +305,7 @@ def find_columns(
         if word_of(heading) not in map(word_of, cells):
             raise error(f"no column {heading}, which is named for {key}")
     columns: dict[str, ListColumn] = {}
-    ignored = []
+    ignored_headings = []
     kind: str | None
     # Headings that are the names of keys come before other words.
     headings = [(at, heading) for at, heading in enumerate(cells) if heading]
@@ -311,7 +313,7 @@ def find_columns(
         word, base = without_base(word_of(heading))
         kind = by_heading.get(word_of(heading)) or _kind(heading, word, option, origin, error)
         if kind is None:
-            ignored.append(heading)
+            ignored_headings.append(heading)
             continue
         if kind in ("address_hex", "address_dec"):
             kind, base = "address", 16 if kind.endswith("hex") else 10
@@ -323,7 +325,7 @@ def find_columns(
         elif kind == "description" or (
             word_of(columns[kind].heading) in KEYS and kind not in CHANGE_VALUES
         ):
-            ignored.append(heading)
+            ignored_headings.append(heading)
         else:
             both = f"columns {columns[kind].heading} and {heading} both hold the {kind}"
             raise error(f"{both}: say which, as in {option_for(kind, heading)}")
@@ -331,9 +333,9 @@ def find_columns(
         if key not in columns:
             usual = [word for word, meaning in words().headings.items() if meaning == key]
             some = ", ".join(usual[:MOST_NAMED])
-            said = f"--column {key}=HEADING says which it is"
-            raise error(f"no column {key}; it may be called {some} ...; {said}")
-    return columns, ignored
+            advice = f"--column {key}=HEADING says which it is"
+            raise error(f"no column {key}; it may be called {some} ...; {advice}")
+    return columns, ignored_headings
 
 
 def _kind(

@@ -95,13 +95,13 @@ class RegisterList:
         self._give_headings()
         if self._text.skipped:
             self.notes.append(f"rows above the headings that are skipped: {self._text.skipped}")
-        self._columns, ignored = find_columns(
+        self._columns, ignored_headings = find_columns(
             self._text.head, self._said, self._origin, self._error
         )
         if "type" not in self._columns and "" not in self._origin.types:
             self.notes.append("no column has the type: registers are uint16")
-        if ignored:
-            self.notes.append(f"columns that mean nothing here: {', '.join(ignored)}")
+        if ignored_headings:
+            self.notes.append(f"columns that mean nothing here: {', '.join(ignored_headings)}")
         rows = [*(flat_rows(self._text.rows()) if is_modpoll else self._text.rows())]
         self._rows = list(self._selected(rows))
         self._table = self._options.table or self._origin.table
@@ -109,7 +109,7 @@ class RegisterList:
         self._first_address = self._options.first_address  # address 0 as the list calls it
         if self._first_address is None and self._tells_table:
             self._first_address = self._origin.first_address
-        self._check_ignored(ignored)
+        self._check_ignored(ignored_headings)
         self._check_addresses()
         self._check_offsets()
         self._names = self._read_names()
@@ -161,8 +161,8 @@ class RegisterList:
                 reason = f"column {device.heading} has several devices, {some}"
                 raise self._error(f"{reason}: say one, as in {example}")
         count = 0
-        said = {word_of(heading): kind for kind, heading in self._said.headings.items()}
-        meanings = words().headings | said
+        kind_of = {word_of(heading): kind for kind, heading in self._said.headings.items()}
+        meanings = words().headings | kind_of
         is_of_other = False
         for row in rows:
             kinds = {meanings.get(word_of(cell), word_of(cell)) for cell in row.cells}
@@ -186,10 +186,10 @@ class RegisterList:
         if filters and not count:
             raise self._error(f"no row has {dict(self._options.only)}")
 
-    def _check_ignored(self, ignored: list[str]) -> None:
+    def _check_ignored(self, headings: list[str]) -> None:
         """Refuse a column whose heading means nothing, and whose cells would change values."""
         heads = [" ".join(cell.split()) for cell in self._text.head.cells]
-        for heading in ignored:
+        for heading in headings:
             at = heads.index(heading)
             cells = {cell for row in self._rows if (cell := _cell(row, at)) and cell not in BLANKS}
             kind = kind_of_cells(cells)

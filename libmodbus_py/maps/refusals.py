@@ -242,7 +242,7 @@ class _PlanRun:
 
     def _forget_old_cuts(self) -> None:
         cuts = self._refusals.cuts
-        for at in [at for at, cut in cuts.copy().items() if cut.is_due(*self._time)]:
+        for at in [at for at, refusal in cuts.copy().items() if refusal.is_due(*self._time)]:
             cuts.pop(at, None)
 
     def _portions(self) -> list[list[BlockPiece]]:

@@ -153,13 +153,13 @@ class ListeningPort(TcpPort):
         self._poll.register(self._listener.fileno(), select.POLLIN)
 
     def receive(self) -> list[bytes]:
-        received = super().receive()
-        if not received:  # so the listener is ready
+        chunks = super().receive()
+        if not chunks:  # so the listener is ready
             self._next = self._newest()
             if self._next is not None:
                 text = "the device has connected again"
                 raise ModbusConnectionError(text, errno=errno.ECONNRESET)
-        frames = self._greeting.drop(b"".join(received))
+        frames = self._greeting.drop(b"".join(chunks))
         return [frames] if frames and self._is_asked else []
 
     def send(self, adus: list[bytes], now: float) -> None:

@@ -143,9 +143,9 @@ class TlsPort(TcpPort):
             if is_done:
                 return
             yield from _ready(connection, READ, deadline)
-            if not (received := connection.recv(RECEIVED_BYTES)):
+            if not (chunk := connection.recv(RECEIVED_BYTES)):
                 raise ConnectionResetError(errno.ECONNRESET, "closed by the other side")
-            tunnel.feed(received)
+            tunnel.feed(chunk)
 
     def _distrusting(self, reason: str, certificate: bytes) -> ModbusConnectionError:
         details = f": {describe(certificate)}" if certificate else ""
@@ -194,15 +194,15 @@ class TlsPort(TcpPort):
     def receive(self) -> list[bytes]:
         if not self._received and self._failure is None:
             self._read()
-        received, self._received = self._received, []
+        chunks, self._received = self._received, []
         if self._failure is not None:
-            if not received:
+            if not chunks:
                 raise self._failure
             try:  # make the descriptor readable, so that a waiting program reads here once more
                 self._socket.shutdown(socket.SHUT_RD)
             except OSError as error:
                 of_system(error)
-        return received
+        return chunks
 
     def _read(self) -> None:
         """Receive, and set what was decrypted and why the connection has ended."""

@@ -205,13 +205,13 @@ def cut(data: bytes, start: int, results: list[Frame | FrameError], most: int) -
         transaction, protocol, length = _HEADER.unpack_from(data, start)
         end = start + 6 + length
         if not 2 <= length <= 1 + MAX_PDU:
-            received = data[start : start + MAX_RECEIVED]
-            raise FrameError(f"header with length {length}, not 2..254", received=received)
+            chunk = data[start : start + MAX_RECEIVED]
+            raise FrameError(f"header with length {length}, not 2..254", received=chunk)
         if size < end:
             break
         if protocol != 0:
-            received = data[start:end]
-            error = FrameError(f"header with protocol {protocol}, not 0", received=received)
+            chunk = data[start:end]
+            error = FrameError(f"header with protocol {protocol}, not 0", received=chunk)
             add_error(results, error)
         else:
             frame = data[start + UNIT], data[start + FUNCTION : end], transaction

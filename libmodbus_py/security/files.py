@@ -113,18 +113,18 @@ class RevocationLists:
             self._lists = []
         if not self._lists:
             raise ValueError(f"{file}: no revocation list in PEM format")
-        ends = [time_in(revoked, "next_update") for revoked in self._lists]
+        ends = [time_in(revocation_list, "next_update") for revocation_list in self._lists]
         self.ends: float | None = min((end.timestamp() for end in ends if end), default=None)
 
     def any_of(self, certificates: Iterable[bytes]) -> bool:
         from cryptography import x509
 
         return any(
-            revoked.issuer == certificate.issuer
-            and revoked.get_revoked_certificate_by_serial_number(certificate.serial_number)
+            revocation_list.issuer == certificate.issuer
+            and revocation_list.get_revoked_certificate_by_serial_number(certificate.serial_number)
             is not None
             for certificate in map(x509.load_der_x509_certificate, certificates)
-            for revoked in self._lists
+            for revocation_list in self._lists
         )
 
 
@@ -275,10 +275,10 @@ class Acceptance:
         """Return why the accepted connection must end, or None."""
         if time.time() > self._ends:
             return EXPIRED
-        loaded, before = self._loaded(), self._before
-        if loaded is before or loaded is None or before is None or self._tunnel is None:
+        files, before = self._loaded(), self._before
+        if files is before or files is None or before is None or self._tunnel is None:
             return None
-        reason = loaded.refusal_of(before, self._tunnel.chain)
+        reason = files.refusal_of(before, self._tunnel.chain)
         if reason is None:
-            self._before = loaded
+            self._before = files
         return reason

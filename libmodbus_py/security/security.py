@@ -173,11 +173,11 @@ class Security:
         now = time.time()
         if now < self._warned_at + DAY_S:
             return
-        revoked = self.loaded.revoked
+        lists = self.loaded.revoked
         # Most revocation lists are renewed every day or week.
         for file, end, before in (
             (self._files.certificate, self.ends, 30 * DAY_S),
-            (self._files.crl, revoked.ends if revoked else None, 2 * DAY_S),
+            (self._files.crl, lists.ends if lists else None, 2 * DAY_S),
         ):
             if end is not None and end - now < before:
                 days = (end - now) / DAY_S

@@ -150,19 +150,19 @@ class Audit:
             return False
         return True
 
-    def note(self, executed: ExecutedRequest) -> None:
+    def note(self, request: ExecutedRequest) -> None:
         """Record a request that changes a device, or is not allowed. Never raises."""
-        caller = executed.caller
+        caller = request.caller
         self._tell(
-            "write" if executed.is_change else "refused",
+            "write" if request.is_change else "refused",
             caller.peer,
-            _result(executed.response, is_broadcast=caller.is_broadcast),
+            _result(request.response, is_broadcast=caller.is_broadcast),
             caller.holder,
             unit=caller.unit,
-            function=executed.request[0],
+            function=request.request[0],
             role=caller.role,
-            changes=executed.changes,
-            data=executed.request.hex(),
+            changes=request.changes,
+            data=request.request.hex(),
         )
 
     def note_peer(

@@ -52,8 +52,8 @@ def load(path: str | PathLike[str]) -> RegisterMap | Simulation | GatewayFile | 
             raise FileError.of(error, place) from None
         kinds = {KINDS[key] for key in content if key in KINDS}
         if len(kinds) != 1:
-            known, found = ", ".join(KINDS), reprlib.repr(list(content))
-            reason = f"must have top-level keys of exactly one kind of file ({known}), not {found}"
+            names, keys = ", ".join(KINDS), reprlib.repr(list(content))
+            reason = f"must have top-level keys of exactly one kind of file ({names}), not {keys}"
             raise FileError((), reason, place=place)
     match kinds.pop():
         case "map":

@@ -39,7 +39,7 @@ class ServerUrl(NamedTuple):
 
 def server_url(
     key: str,
-    given: object,
+    value: object,
     ports: Mapping[str, int],
     *,
     example: str,
@@ -50,17 +50,17 @@ def server_url(
     Read the URL of a server, the setting `key`; `ports` are those of the allowed schemes. Errors
     name an example and the settings for a login, and repeat no login that the URL contains.
     """
-    if not isinstance(given, str):
-        raise WrongType(key, f"must be text, not {type(given).__name__}")
-    if "@" in given:
+    if not isinstance(value, str):
+        raise WrongType(key, f"must be text, not {type(value).__name__}")
+    if "@" in value:
         raise WrongValue(key, f"must not contain a user or password: use {login}")
-    shown = given.partition("?")[0]  # a query may contain a token
-    wrong = WrongValue(key, f'must be a URL such as "{example}", not {shown!r}')
+    text = value.partition("?")[0]  # a query may contain a token
+    wrong = WrongValue(key, f'must be a URL such as "{example}", not {text!r}')
     try:
-        parts = urlsplit(given)
+        parts = urlsplit(value)
     except ValueError:  # such as brackets without an address
         raise wrong from None
-    is_plain = given.isascii() and given.isprintable() and " " not in given
+    is_plain = value.isascii() and value.isprintable() and " " not in value
     if parts.scheme not in ports or not parts.hostname or not is_plain:
         raise wrong
     if parts.query or parts.fragment or (parts.path not in ("", "/") and not may_have_path):
@@ -70,7 +70,7 @@ def server_url(
     except ValueError:
         port = 0
     if not port:
-        raise WrongValue.about(key, f"the port must be in 1..65535: {shown!r}")
+        raise WrongValue.about(key, f"the port must be in 1..65535: {text!r}")
     return ServerUrl(parts.scheme, parts.hostname, port)
 
 

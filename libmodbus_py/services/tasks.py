@@ -115,23 +115,23 @@ class WriterThread:
 
     async def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Call a function in the thread; return its result, or raise its exception."""
-        done = asyncio.get_running_loop().create_future()
-        self._jobs.put((function, arguments, done))
-        return await done
+        future = asyncio.get_running_loop().create_future()
+        self._jobs.put((function, arguments, future))
+        return await future
 
 
 def _work(jobs: queue.SimpleQueue[Job | None]) -> None:
     while (job := jobs.get()) is not None:
-        function, arguments, done = job
+        function, arguments, future = job
         result, error = None, None
         try:
             result = function(*arguments)
         except BaseException as failure:
             error = failure
         with contextlib.suppress(RuntimeError):  # the loop is closed
-            done.get_loop().call_soon_threadsafe(_settle, done, result, error)
+            future.get_loop().call_soon_threadsafe(_settle, future, result, error)
 
 
-def _settle(done: asyncio.Future[Any], result: Any, error: BaseException | None) -> None:
-    if not done.done():
-        done.set_result(result) if error is None else done.set_exception(error)
+def _settle(future: asyncio.Future[Any], result: Any, error: BaseException | None) -> None:
+    if not future.done():
+        future.set_result(result) if error is None else future.set_exception(error)

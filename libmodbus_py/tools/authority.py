@@ -79,14 +79,14 @@ class Authority:
 
     def _read_list(self) -> None:
         try:
-            revoked = x509.load_pem_x509_crl(self.list_path.read_bytes())
+            revocation_list = x509.load_pem_x509_crl(self.list_path.read_bytes())
         except ValueError:
             raise ValueError(f"{self.list_path}: no revocation list in PEM format") from None
-        if not revoked.is_signature_valid(self.identity.key.public_key()):
+        if not revocation_list.is_signature_valid(self.identity.key.public_key()):
             raise ValueError(f"{self.list_path} is not signed by {self._directory / 'ca.pem'}")
-        self._revocations = {entry.serial_number: entry for entry in revoked}
-        self.list_ends = time_in(revoked, "next_update")
-        for extension in revoked.extensions:
+        self._revocations = {entry.serial_number: entry for entry in revocation_list}
+        self.list_ends = time_in(revocation_list, "next_update")
+        for extension in revocation_list.extensions:
             if isinstance(extension.value, x509.CRLNumber):
                 self._number = extension.value.crl_number
 
@@ -104,7 +104,7 @@ class Authority:
             if not path.stem.endswith("-key") and path.stem not in (AUTHORITY, "crl")
         }
         paths |= {path.parent.name: path for path in sorted(self._directory.glob("*/server.pem"))}
-        issued = {}
+        certificates = {}
         for name, path in paths.items():
             try:
                 certificate = x509.load_pem_x509_certificate(path.read_bytes())
@@ -113,8 +113,8 @@ class Authority:
             # Not the issuer, because authorities of one command have one name.
             if self._issuer_key in [extension.value for extension in certificate.extensions]:
                 is_revoked = certificate.serial_number in self._revocations
-                issued[name] = IssuedCertificate(name, path, certificate, is_revoked)
-        return issued
+                certificates[name] = IssuedCertificate(name, path, certificate, is_revoked)
+        return certificates
 
     def renew(self, names: Iterable[str] = (), days: float | None = None) -> list[Path]:
         """
@@ -130,21 +130,21 @@ class Authority:
         """
         if days is not None:
             check_days(days)
-        issued = self.issued()
+        rows = self.issued()
         for name in names:
-            self._check_name(name, issued)
-            if issued[name].is_revoked:  # others may know its key, which would be the same
+            self._check_name(name, rows)
+            if rows[name].is_revoked:  # others may know its key, which would be the same
                 raise ValueError(f"{name!r} is revoked, and its key with it: make another one")
         every = [*names] or [
-            row.name for row in issued.values() if row.name != AUTHORITY and not row.is_revoked
+            row.name for row in rows.values() if row.name != AUTHORITY and not row.is_revoked
         ]
         for name in every:
-            old = issued[name]
-            renewed = self._renewed(old.certificate, days)
-            replace_file(old.path, renewed.public_bytes(serialization.Encoding.PEM).decode())
+            old = rows[name]
+            certificate = self._renewed(old.certificate, days)
+            replace_file(old.path, certificate.public_bytes(serialization.Encoding.PEM).decode())
             if name == AUTHORITY:
                 self._copy(old.path)
-        return [issued[name].path for name in every]
+        return [rows[name].path for name in every]
 
     def _renewed(self, old: x509.Certificate, days: float | None) -> x509.Certificate:
         begin = datetime.now(UTC) - EARLIER
@@ -169,8 +169,8 @@ class Authority:
         Raises:
             ValueError: there is no such certificate, and it is no serial number.
         """
-        issued = self.issued()
-        serials = [self._serial(name, issued) for name in names]
+        certificates = self.issued()
+        serials = [self._serial(name, certificates) for name in names]
         now = datetime.now(UTC)
         for serial in serials:
             entry = x509.RevokedCertificateBuilder().serial_number(serial).revocation_date(now)
@@ -196,8 +196,8 @@ class Authority:
         )
         for entry in self._revocations.values():
             builder = builder.add_revoked_certificate(entry)
-        signed = builder.sign(self.identity.key, hashes.SHA256())
-        replace_file(self.list_path, signed.public_bytes(serialization.Encoding.PEM).decode())
+        crl = builder.sign(self.identity.key, hashes.SHA256())
+        replace_file(self.list_path, crl.public_bytes(serialization.Encoding.PEM).decode())
         self.list_path.chmod(0o644)
         self._copy(self.list_path)
         return self.list_path
@@ -208,19 +208,19 @@ class Authority:
             replace_file(folder / path.name, path.read_text())
             (folder / path.name).chmod(0o644)
 
-    def _serial(self, name: str, issued: dict[str, IssuedCertificate]) -> int:
+    def _serial(self, name: str, certificates: dict[str, IssuedCertificate]) -> int:
         if name == AUTHORITY:
             raise ValueError("an authority cannot revoke itself: trust another one instead")
-        if name in issued:
-            return issued[name].certificate.serial_number
+        if name in certificates:
+            return certificates[name].certificate.serial_number
         digits = name.replace(":", "")
         if not re.fullmatch("[0-9A-Fa-f]{1,40}", digits) or not int(digits, 16):
-            self._check_name(name, issued)
+            self._check_name(name, certificates)
         return int(digits, 16)
 
-    def _check_name(self, name: str, issued: dict[str, IssuedCertificate]) -> None:
-        if name not in issued:
-            names = ", ".join(issued)
+    def _check_name(self, name: str, certificates: dict[str, IssuedCertificate]) -> None:
+        if name not in certificates:
+            names = ", ".join(certificates)
             raise ValueError(f"{name!r} is no certificate in {self._directory}, which has {names}")
 
 

@@ -284,8 +284,8 @@ def _discovery(bases: Iterable[int]) -> _Steps[SunSpecDevice]:
         counts = yield from _counts(chain, header, group)
         layout = ModelLayout(group, header.address, header.length, counts, room)
         room -= len(layout.points)
-        noted = f"{header} has the length {header.length}"
-        chain.notes += [f"{noted}: {note}" for note in layout.notes]
+        remark = f"{header} has the length {header.length}"
+        chain.notes += [f"{remark}: {note}" for note in layout.notes]
         rest = HEADER + header.length - layout.used
         if rest and not layout.notes:
             chain.notes.append(f"{header} has {rest} registers more than its definition")
@@ -366,8 +366,8 @@ class ModelLayout:
         self.used: int = self._at - address
         names = {None, *(point.name for point in self.points)}
         points = [point for point in self.points if point.scale_from in names]
-        if unscaled := len(self.points) - len(points):
-            self.notes.append(f"{unscaled} points are left out with their scale factors")
+        if unscaled_count := len(self.points) - len(points):
+            self.notes.append(f"{unscaled_count} points are left out with their scale factors")
         self.points = points
 
     def _lay(self, group: Mapping[str, Any], prefix: str, scales: Mapping[str, str]) -> bool:

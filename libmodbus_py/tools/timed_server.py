@@ -104,8 +104,8 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
     def process_request(self, request: Any, client_address: Any) -> None:
         with self._lock:
             if len(self._open) >= MOST_CONNECTIONS:
-                limited = (connection for connection, until in self._open.items() if until)
-                oldest = next(limited, request)
+                connections = (connection for connection, until in self._open.items() if until)
+                oldest = next(connections, request)
                 _cut(oldest)  # its thread ends, and closes it
                 self._open.pop(oldest, None)
             self._open[request] = time.monotonic() + self._limit

@@ -148,10 +148,10 @@ def _in_all_ways(item: Item, cells: list[int]) -> _Shown:
     """
     from ...protocol.values import readings, value_type
 
-    placed: list[tuple[int, Interpretation]] = []
+    interpretations: list[tuple[int, Interpretation]] = []
     for at in range(len(cells)):
         sizes = [size for size in SIZES if size < len(cells) and at + size <= len(cells)]
-        parts = [each for size in sizes for each in readings(cells[at : at + size])]
+        parts = [way for size in sizes for way in readings(cells[at : at + size])]
         parts.sort(key=lambda reading: reading.doubt)
         # Of signed and unsigned values that are equal, one is enough here.
         distinct: dict[str, Interpretation] = {}
@@ -160,29 +160,29 @@ def _in_all_ways(item: Item, cells: list[int]) -> _Shown:
         likely = [*distinct.values()][:LIKELY]
         if at == 0 and len(cells) <= MOST_AT_ONCE:
             likely = sorted([*readings(cells), *likely], key=lambda reading: reading.doubt)
-        placed += [(at, each) for each in likely]
-    width = max(len(reading.type) for _, reading in placed)
-    orders = max(len(reading.order) for _, reading in placed)
+        interpretations += [(at, way) for way in likely]
+    width = max(len(reading.type) for _, reading in interpretations)
+    orders = max(len(reading.order) for _, reading in interpretations)
     rows = [
         ValueText(
             f"{item.number(at):>{NUMBER_CHARACTERS}}  {name:<{width}}  {order:<{orders}}",
             *_texts(value, value_type(name)),
         )
-        for at, (name, order, value) in placed
+        for at, (name, order, value) in interpretations
     ]
     first = item.address + item.base
-    fields = [{"address": first + at, **plain(reading)} for at, reading in placed]
+    fields = [{"address": first + at, **plain(reading)} for at, reading in interpretations]
     return rows, {"registers": cells, "readings": fields}
 
 
 def _of_point(item: Item, point: Point, cells: list[int], source: Any) -> ReadResult:
-    judged = point.judge(cells if item.kind else [bool(cell) for cell in cells], source=source)
-    rows = rows_of_point(point, judged.value, judged.reason)
-    fields = {"name": point.name, "value": plain(judged.value)}
-    if not judged.reason:
+    judgement = point.judge(cells if item.kind else [bool(cell) for cell in cells], source=source)
+    rows = rows_of_point(point, judgement.value, judgement.reason)
+    fields = {"name": point.name, "value": plain(judgement.value)}
+    if not judgement.reason:
         return ReadResult(item, rows, fields)
-    fields["no_value"] = {"quality": judged.quality, "reason": judged.reason}
-    return ReadResult(item, rows, fields, remark=f"{point.name}: {judged.reason}")
+    fields["no_value"] = {"quality": judgement.quality, "reason": judgement.reason}
+    return ReadResult(item, rows, fields, remark=f"{point.name}: {judgement.reason}")
 
 
 def rows_of_point(point: Point, value: Any, reason: str) -> list[ValueText]:
@@ -190,9 +190,9 @@ def rows_of_point(point: Point, value: Any, reason: str) -> list[ValueText]:
     values = value if point.count > 1 else [value]
     return [
         ValueText(name, "-", "", f"({reason})")
-        if each is None
-        else ValueText(name, *_texts_of_point(point, each), point.units)
-        for name, each in zip(_names(point), values, strict=True)
+        if element is None
+        else ValueText(name, *_texts_of_point(point, element), point.units)
+        for name, element in zip(_names(point), values, strict=True)
     ]
 
 
@@ -207,7 +207,7 @@ def _texts_of_point(point: Point, value: Any) -> tuple[str, str]:
     is_as_read = (point.scale, point.offset, point.scale_from) == (1, 0, None)
     is_named = isinstance(value, str) and point.states is not None
     if isinstance(value, dict):
-        text = " ".join(f"{name}={int(each)}" for name, each in value.items())
+        text = " ".join(f"{name}={int(bit)}" for name, bit in value.items())
     elif kind is not None and is_as_read and not is_named and not point.is_part:
         return _texts(value, kind)
     else:
@@ -227,10 +227,10 @@ def _texts(value: Any, kind: ValueType) -> tuple[str, str]:
 def aligned(results: Sequence[ReadResult]) -> list[str]:
     """Return a line for each value, which begins with the table if there are several items."""
     several = len(results) > 1
-    word = max((len(each.item.word) for each in results), default=0) if several else 0
-    pairs = [(each.item, row) for each in results for row in each.rows]
-    placed = [row.where for item, row in pairs if item.word]  # neither references nor names
-    width = max(map(len, placed), default=0) if several else NUMBER_CHARACTERS
+    word = max((len(result.item.word) for result in results), default=0) if several else 0
+    pairs = [(result.item, row) for result in results for row in result.rows]
+    places = [row.where for item, row in pairs if item.word]  # neither references nor names
+    width = max(map(len, places), default=0) if several else NUMBER_CHARACTERS
     wheres = [_where(item, row, word, width) for item, row in pairs]
     label = max(map(len, wheres), default=0)
     numbers = max((len(row.text) for item, row in pairs if not _is_text(item)), default=0)
@@ -301,7 +301,7 @@ def _print_lines(unit: int, results: Sequence[ReadResult], reason: str, *, has_u
 def _print_line(unit: int, results: Sequence[ReadResult], reason: str, *, has_unit: bool) -> None:
     """Print the time and the values of a poll; with their addresses if there are several."""
     several = len(results) > 1
-    text = reason or "  ".join(in_line(each, several=several) for each in results)
+    text = reason or "  ".join(in_line(result, several=several) for result in results)
     whence = f"unit {unit}  " if has_unit else ""
     print(f"{time_text(time.time())}  {whence}{text}", flush=True)
 
@@ -314,15 +314,15 @@ def _print_object(unit: int, results: Sequence[ReadResult], reason: str, *, has_
 
 
 def _fields(results: Sequence[ReadResult]) -> dict[str, Any]:
-    items = [each.fields for each in results]
-    if not all(each.item.point for each in results):
+    items = [result.fields for result in results]
+    if not all(result.item.point for result in results):
         return items[0] if len(items) == 1 else {"items": items}
     by_name = {
-        key: {each["name"]: each[field] for each in items if field in each}
+        key: {item["name"]: item[field] for item in items if field in item}
         for key, field in (("values", "value"), ("no_value", "no_value"), ("errors", "error"))
     }
-    fell = [each.fields["name"] for each in results if each.has_fallen]
-    others = {key: found for key, found in {**by_name, "fell": fell}.items() if found}
+    fell = [result.fields["name"] for result in results if result.has_fallen]
+    others = {key: value for key, value in {**by_name, "fell": fell}.items() if value}
     return {"values": {}, **others}
 
 
@@ -342,9 +342,9 @@ class _CsvRows:
 
     def print(self, unit: int, results: Sequence[ReadResult], reason: str) -> None:
         cells: list[str] = [] if results else [""] * len(self._titles)
-        for each in results:
-            cells += [row.plain for row in each.rows] or [""] * len(_titles(each.item))
-        remarks = filter(None, (each.failure or each.remark for each in results))
+        for result in results:
+            cells += [row.plain for row in result.rows] or [""] * len(_titles(result.item))
+        remarks = filter(None, (result.failure or result.remark for result in results))
         if not self._has_begun:
             self._has_begun = True
             if self._gap is None:
@@ -364,13 +364,13 @@ def _gap(path: str, header: list[str]) -> str | None:
         return None
     from ...files.csv_text import csv_rows
 
-    wanted = csv_rows([header]).rstrip("\n")
+    titles = csv_rows([header]).rstrip("\n")
     with open(path, "rb") as file:
         first = file.readline().decode(errors="replace").rstrip("\r\n")
         file.seek(-1, os.SEEK_END)
         is_whole = file.read() == b"\n"
-    if first != wanted:
-        raise ValueError(f"{path} has the columns {first!r}, and not {wanted!r}: name another file")
+    if first != titles:
+        raise ValueError(f"{path} has the columns {first!r}, and not {titles!r}: name another file")
     return "" if is_whole else "\n"
 
 
@@ -387,24 +387,24 @@ class TerminalTable:
         self._redrawn = RedrawnLines(screen)
 
     def print(self, unit: int, results: Sequence[ReadResult], reason: str) -> None:
-        failures = [reason] if reason else [each.failure for each in results if each.failure]
+        failures = [reason] if reason else [result.failure for result in results if result.failure]
         self._rounds += unit == next(iter(self._lines))
         now = clock_text(time.time())
         if failures:
             self._failed += 1
             self._last_failure = f", {self._failed} failed, last at {now}"
         lines = [] if reason else self._marked(unit, results)
-        self._lines[unit] = [*lines, *((each, False) for each in failures)]
+        self._lines[unit] = [*lines, *((failure, False) for failure in failures)]
         title = f"{now}  {self._title}, {self._rounds} polls{self._last_failure}"
-        shown = [(title, False)]
-        for each, its_lines in self._lines.items():
-            shown += [(f"unit {each}", False)] if len(self._lines) > 1 else []
-            shown += its_lines
-        self._redrawn.draw(shown)
+        lines_shown = [(title, False)]
+        for unit_number, its_lines in self._lines.items():
+            lines_shown += [(f"unit {unit_number}", False)] if len(self._lines) > 1 else []
+            lines_shown += its_lines
+        self._redrawn.draw(lines_shown)
 
     def _marked(self, unit: int, results: Sequence[ReadResult]) -> list[tuple[str, bool]]:
         """Return the lines of a unit; none is marked if the number of lines has changed."""
-        texts = [row.text for each in results for row in each.rows]
+        texts = [row.text for result in results for row in result.rows]
         before = self._texts.get(unit, [])
         if len(before) != len(texts):
             before = texts

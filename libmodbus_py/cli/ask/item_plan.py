@@ -41,7 +41,9 @@ class ItemPlan(Plan):
         """Return the cells of each item by its index, or the error in place of them."""
         steps = reading(self.blocks, self._refusals, time.monotonic(), connects)
         cells: dict[int, Any] = self.results(carried_out(steps, ask))
-        answers = iter(ask([each for _, requests in self._others.values() for each in requests]))
+        answers = iter(
+            ask([request for _, requests in self._others.values() for request in requests])
+        )
         for at, (item, requests) in self._others.items():
             cells[at] = cells_of(item, [next(answers) for _ in requests])
         return cells

@@ -140,7 +140,7 @@ class Words:
         for name in layout:
             if is_all:
                 raise ValueError(f"--type all shows every interpretation, and has no --{name}")
-            if self._type is None and not any(re.match(r"[0-9][0-9-]*:", each) for each in words):
+            if self._type is None and not any(re.match(r"[0-9][0-9-]*:", word) for word in words):
                 raise ValueError(f"--{name} needs --type, or a type as in hr 100:float32")
         self._options_of_types = {**USUAL, **layout}
         self._kind(self._type)  # refuses what is wrong without any item, too
@@ -257,36 +257,36 @@ class Words:
             )
         if not self._words:
             raise ValueError(f"{first} lacks an address")
-        typed, bit, last, kind = _split(self._pop())
+        digits, bit, last, kind = _split(self._pop())
         number = number_of("file", file) if file else 0
         base = 0 if name == "file" else self._base
         try:
-            address = _address(typed, base)
+            address = _address(digits, base)
         except ValueError as error:
-            raise ValueError(f"{error}{_meant(first, typed, TABLE_WORDS[name])}") from None
+            raise ValueError(f"{error}{_meant(first, digits, TABLE_WORDS[name])}") from None
         end = address if last is None else _address(last, base)
-        item = Item(TABLE_WORDS[name], address, file=number, word=first, typed=typed, base=base)
+        item = Item(TABLE_WORDS[name], address, file=number, word=first, typed=digits, base=base)
         return self._with_type(item, kind, end) if bit is None else _with_bit(item, bit)
 
     def _referred(self, first: str) -> Item:
-        typed, bit, last, kind = _split(first)
-        table, address = parse_reference(typed)
+        number, bit, last, kind = _split(first)
+        table, address = parse_reference(number)
         if table == "file":
-            raise ValueError(f"{typed!r} lacks the number of the file: type file:N {address}")
+            raise ValueError(f"{number!r} lacks the number of the file: type file:N {address}")
         end = parse_reference(last) if last is not None else (table, address)
         if end[0] != table:
             raise ValueError(f"{first!r}: both references must be of one table")
-        item = Item(table, address, typed=typed, base=self._base)
+        item = Item(table, address, typed=number, base=self._base)
         return self._with_type(item, kind, end[1]) if bit is None else _with_bit(item, bit)
 
     def _with_type(self, item: Item, name: str | None, last: int) -> Item:
         """Return an item with its type, or that of --type, up to the cell at an address."""
-        wanted = name or self._type
+        type_name = name or self._type
         form = "" if name else self._form
-        if (wanted is not None or form == ALL) and item.table not in REGISTERS:
-            allowed = ", ".join(word for word, table in TABLE_WORDS.items() if table in REGISTERS)
-            raise ValueError(f"{item.table.replace('_', ' ')} have no type, only {allowed} have")
-        kind = self._kind(wanted)
+        if (type_name is not None or form == ALL) and item.table not in REGISTERS:
+            names = ", ".join(word for word, table in TABLE_WORDS.items() if table in REGISTERS)
+            raise ValueError(f"{item.table.replace('_', ' ')} have no type, only {names} have")
+        kind = self._kind(type_name)
         is_range = last != item.address
         item = item._replace(kind=kind, form=form, is_range=is_range)
         if not is_range:
@@ -327,10 +327,10 @@ def _with_bit(item: Item, text: str) -> Item:
 
 def _address(text: str, base: int) -> int:
     """Return an address from 0 of one that counts from a base."""
-    shown = number_of("address", text)
-    if not base <= shown < TABLE_SIZE + base:
-        raise ValueError(f"address must be in {base}..{TABLE_SIZE - 1 + base}, not {shown}")
-    return shown - base
+    number = number_of("address", text)
+    if not base <= number < TABLE_SIZE + base:
+        raise ValueError(f"address must be in {base}..{TABLE_SIZE - 1 + base}, not {number}")
+    return number - base
 
 
 def _of_point(point: Point) -> Item:
@@ -400,9 +400,9 @@ def reason_of(error: ModbusError, item: Item) -> str:
     return f"{error}{_meant(item.word, item.typed, item.table)}"
 
 
-def _meant(word: str, typed: str, table: str) -> str:
+def _meant(word: str, text: str, table: str) -> str:
     """Return a remark for errors if an address behind a table looks like a reference."""
-    is_reference = typed[1:].isdecimal() and len(typed) > 4
-    if not (word and is_reference and REFERENCE_TABLES.get(typed[0]) == table):
+    is_reference = text[1:].isdecimal() and len(text) > 4
+    if not (word and is_reference and REFERENCE_TABLES.get(text[0]) == table):
         return ""
-    return f" ({word} {typed} counts from 0; the reference {typed} is typed without {word})"
+    return f" ({word} {text} counts from 0; the reference {text} is typed without {word})"

@@ -122,10 +122,10 @@ def add_command(command: Parser) -> None:
     arguments.add_columns(check, rare="", encoding=True)
     declare(check, DEVICE)
     arguments.add_requests(check)
-    imported = add("import", IMPORT, OF_IMPORT)
-    declare(imported, "FILE\n  the list")
-    arguments.add_columns(imported, rare="", encoding=True)
-    declare(imported, OF_OUTPUT)
+    import_command = add("import", IMPORT, OF_IMPORT)
+    declare(import_command, "FILE\n  the list")
+    arguments.add_columns(import_command, rare="", encoding=True)
+    declare(import_command, OF_OUTPUT)
     search = {"action": "store", "nargs": "+", "default": [], "complete": names_of_maps}
     declare(add("list", LIST, OF_LIST, "; --map takes their names"), SEARCH, search=search)
     of_class = add("class", CLASS, OF_CLASS)
@@ -168,9 +168,9 @@ def _list(options: argparse.Namespace) -> int:
 
     words = [word.casefold() for word in options.search]
     lines = [f"{name:<12} {about}" for name, about in example_files.maps().items()]
-    found = [line for line in lines if all(word in line.casefold() for word in words)]
-    if not found:
+    matches = [line for line in lines if all(word in line.casefold() for word in words)]
+    if not matches:
         complain(f"no register map of the {len(lines)} has {' and '.join(options.search)}")
         return 1
-    print("\n".join(found))
+    print("\n".join(matches))
     return 0

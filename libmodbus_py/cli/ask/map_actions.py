@@ -40,18 +40,18 @@ def check(options: argparse.Namespace) -> int:
     Print what each file contains, or its mistakes on stderr, and what a device lacks of it; return
     2 after a mistake, 1 if the device lacks something.
     """
-    said = ListOptions(**list_keys(options))
+    list_options = ListOptions(**list_keys(options))
     if options.device is None:
         refuse_options(options, OF_CLIENTS, "needs --device")
-        return max([_check_file(file, said) for file in options.files])
+        return max([_check_file(file, list_options) for file in options.files])
     options.url = options.device
     with closing(new_client(options)) as context:
-        return max([_check_file(file, said, context) for file in options.files])
+        return max([_check_file(file, list_options, context) for file in options.files])
 
 
-def _check_file(file: str, said: ListOptions, context: Client | None = None) -> int:
+def _check_file(file: str, list_options: ListOptions, context: Client | None = None) -> int:
     try:
-        contents = contents_of(map_file(file), MOST_MISTAKES, said)
+        contents = contents_of(map_file(file), MOST_MISTAKES, list_options)
     except ValueError as error:
         complain(str(error))
         return 2
@@ -72,17 +72,17 @@ def _tables(points: RegisterMap) -> Iterator[str]:
     """Yield a line for each table that has points, followed by its requests."""
     requests: list[Any] = [*points.plan().requests]
     for table, rules in TABLES.items():
-        found = [point for point in points.values() if point.table == table]
-        if found:
-            written = sum(point.is_writable for point in found)
-            what = f", {written} of them can be written" if written else ""
-            borders = ", ".join(str(address) for _, address in borders_of(found))
+        of_table = [point for point in points.values() if point.table == table]
+        if of_table:
+            writable = sum(point.is_writable for point in of_table)
+            what = f", {writable} of them can be written" if writable else ""
+            borders = ", ".join(str(address) for _, address in borders_of(of_table))
             what += f", no read crosses {borders}" if borders else ""
-            yield f"{table}: {counted(len(found), 'point')}{what}"
+            yield f"{table}: {counted(len(of_table), 'point')}{what}"
         function = rules.read(0, 1).function
-        for each in requests:
-            if each.function == function:
-                yield f"  read {each.address} {each.count}"
+        for request in requests:
+            if request.function == function:
+                yield f"  read {request.address} {request.count}"
 
 
 def _more(points: RegisterMap) -> Iterator[str]:
@@ -101,24 +101,24 @@ def _check_device(points: RegisterMap, context: Client) -> int:
     """Print the points that a device refuses; return 1 if there are any."""
     context.connect()
     values = context.read_map(points, return_exceptions=True)
-    failed = {
+    errors = {
         name: value
         for name, value in values.items()
         if isinstance(value, ModbusError) and not isinstance(value, NoValue)
     }
     device = f"{context.url}, unit {context.unit}"
-    for error in failed.values():
+    for error in errors.values():
         if not isinstance(error, ExceptionResponse):
             raise error
-    if failed and len(failed) == len(values):
-        error = next(iter(failed.values()))
+    if errors and len(errors) == len(values):
+        error = next(iter(errors.values()))
         complain(f"{device}: all {counted(len(values), 'point')} refused: {error}")
         return 1
-    print(f"  {device}: {len(values) - len(failed)} of {counted(len(values), 'point')} can be read")
+    print(f"  {device}: {len(values) - len(errors)} of {counted(len(values), 'point')} can be read")
     sys.stdout.flush()
-    for name, error in failed.items():
+    for name, error in errors.items():
         complain(f"{name} cannot be read: {error}")
-    return 1 if failed else 0
+    return 1 if errors else 0
 
 
 def import_list(options: argparse.Namespace) -> int:
@@ -189,24 +189,24 @@ def from_device(options: argparse.Namespace) -> int:
     check_output(options.output, TEXTS)
     url = endpoint_of(options).url
     status = Status()
-    searched = search(url, on_progress=lambda state: status.show(progress(state)))
+    result = search(url, on_progress=lambda state: status.show(progress(state)))
     code = 0
     try:
-        with searched:
-            for _ in searched:
+        with result:
+            for _ in result:
                 pass
     except KeyboardInterrupt:
         code = INTERRUPTED
     finally:
         status.clear()
-    extents = searched.extents
+    extents = result.extents
     points = _points(extents)
     if not points:
         reasons = dict.fromkeys(extent.ended or "no address can be read" for extent in extents)
         raise CommandError(f"no table can be read: {', '.join(reasons) or 'nothing was asked'}")
     heading = [
         f"# Addresses of {parse(url)} that can be read, found by {PROGRAM} map from-device",
-        *(f"# {each.table}: {missing(each)}" for each in extents if missing(each)),
+        *(f"# {extent.table}: {missing(extent)}" for extent in extents if missing(extent)),
     ]
     write_map(options.output, heading, points, "; fill in names, types and units")
     return code
@@ -232,15 +232,15 @@ def from_sunspec(options: argparse.Namespace) -> int:
 
 def _points(extents: list[Extent]) -> list[Point]:
     """Return a point for each cell, or for each range if there are very many cells."""
-    found: list[tuple[Any, range]] = [
+    ranges: list[tuple[Any, range]] = [
         (extent.table, cells) for extent in extents for cells in extent.ranges
     ]
-    if sum(len(cells) for _, cells in found) <= MOST_CELLS:
-        found = [(table, range(at, at + 1)) for table, cells in found for at in cells]
+    if sum(len(cells) for _, cells in ranges) <= MOST_CELLS:
+        ranges = [(table, range(at, at + 1)) for table, cells in ranges for at in cells]
     prefixes = {table: table.partition("_")[0].removesuffix("s") for table in TABLES}  # "holding"
     return [
         Point(f"{prefixes[table]}_{cells.start}", table, cells.start, len(cells), access="read")
-        for table, cells in found
+        for table, cells in ranges
     ]
 
 

@@ -104,7 +104,7 @@ def read(options: argparse.Namespace) -> int:
         results = [*readers[client.unit].ask(client).values()]
         printer(client.unit, results, "")
         sys.stdout.flush()
-        failures = dict.fromkeys(each.failure for each in results if each.failure)
+        failures = dict.fromkeys(result.failure for result in results if result.failure)
         for text in failures:
             complain(text)
         return 1 if failures else 0

@@ -100,19 +100,19 @@ def _identify(options: argparse.Namespace) -> int:
     from .units import report_units
 
     level = options.level
-    wanted: Any = number_of("level", level) if level[:1].isdigit() else level
+    category: Any = number_of("level", level) if level[:1].isdigit() else level
 
     def identification(context: Client) -> Named:
-        found = context.read_device_identification(wanted).objects
-        if wanted in ("regular", "extended") and MANDATORY - found.keys():
+        objects = context.read_device_identification(category).objects
+        if category in ("regular", "extended") and MANDATORY - objects.keys():
             with suppress(ModbusError):  # some devices leave out what the basic level has
-                found = {**context.read_device_identification("basic").objects, **found}
-        return [(OBJECT_NAMES.get(at, f"object {at}"), found[at]) for at in sorted(found)]
+                objects = {**context.read_device_identification("basic").objects, **objects}
+        return [(OBJECT_NAMES.get(at, f"object {at}"), objects[at]) for at in sorted(objects)]
 
     def server_id(context: Client) -> Named:
-        found = context.report_server_id()
-        is_told = found.running is not None
-        return [("server id", found.data), *[("running", found.running)] * is_told]
+        report = context.report_server_id()
+        is_told = report.running is not None
+        return [("server id", report.data), *[("running", report.running)] * is_told]
 
     return report_units(options, {"identification": identification, "server id": server_id})
 
@@ -184,8 +184,8 @@ def _sub_function(text: str) -> int:
     try:
         return number_of("sub-function", text)
     except ValueError:
-        known = ", ".join(each.replace(" ", "-") for each in names)
-        raise ValueError(f"SUB-FUNCTION must be a number or one of {known}, not {text!r}") from None
+        words = ", ".join(word.replace(" ", "-") for word in names)
+        raise ValueError(f"SUB-FUNCTION must be a number or one of {words}, not {text!r}") from None
 
 
 def _name(sub: int) -> str:
@@ -219,8 +219,8 @@ def _raw(options: argparse.Namespace) -> int:
         response = request.encode_response(context.execute(request))
     print(response.hex(" "))
     with suppress(ModbusError, ValueError):  # of a function that is not known
-        known = decode_request(request.encode())
-        print(f"{known}: {known.decode_response(response)!r}")
+        request_of_class = decode_request(request.encode())
+        print(f"{request_of_class}: {request_of_class.decode_response(response)!r}")
     return 0
 
 

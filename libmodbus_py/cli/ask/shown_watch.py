@@ -33,8 +33,8 @@ class ShownWatch:
 
     def status(self) -> tuple[str, bool]:
         """Return which units do not answer and which values are not good, or that all are."""
-        down = [each.name for each in self._units.copy().values() if each.is_down]
-        bad = [f"{each.point.device} {each.point.name}" for each in self._values.bad()]
+        down = [unit.name for unit in self._units.copy().values() if unit.is_down]
+        bad = [f"{reading.point.device} {reading.point.name}" for reading in self._values.bad()]
         problems = [f"no answer from {', '.join(down)}"] if down else []
         if bad:
             problems.append(f"values that are not good: {len(bad)}{first_names(bad)}")
@@ -55,7 +55,7 @@ class ShownWatch:
         """Take the results of a unit, or why there are none."""
         now, device = time.time(), _device(unit)
         self._polls += 1
-        self._failed += bool(reason) or any(each.failure for each in results)
+        self._failed += bool(reason) or any(result.failure for result in results)
         self._unit(device).take(now, reason)
         self._describe(unit, results)
         readings: list[tuple[Any, ...]] = []
@@ -77,9 +77,10 @@ class ShownWatch:
     def _describe(self, unit: int, results: Sequence[ReadResult]) -> None:
         """Set the rows of the table again if the values of a unit have other names now."""
         names = {
-            (unit, at): [_name(each.item, row) for row in each.rows] or [_first_name(each.item)]
-            for at, each in enumerate(results)
-            if each.rows or (unit, at) not in self._names
+            (unit, at): [_name(result.item, row) for row in result.rows]
+            or [_first_name(result.item)]
+            for at, result in enumerate(results)
+            if result.rows or (unit, at) not in self._names
         }
         if names.items() <= self._names.items():
             return
@@ -121,8 +122,8 @@ class WatchedUnit:
     def cells(self) -> dict[str, Any]:
         word, reason = "down" if self.is_down else "up", cell_text(self._reason or "")
         state = {"word": word, "reason": reason, "since": self._since}
-        shown = {"name": {"group": "", "own": self.name}, "state": state}
-        return {**shown, "value": {"text": "", "units": ""}, "age": round(self.answered_at, 1)}
+        row = {"name": {"group": "", "own": self.name}, "state": state}
+        return {**row, "value": {"text": "", "units": ""}, "age": round(self.answered_at, 1)}
 
 
 def _device(unit: int) -> str:

@@ -111,13 +111,13 @@ def print_report(
             raise silent[0]
     if not answers:
         raise CommandError(f"unit {context.unit} has none of these: {'; '.join(lacking.values())}")
-    shown = {name: _shown(value) for name, value in answers.items()}
+    texts = {name: _shown(value) for name, value in answers.items()}
     if as_json:
-        print_json({"unit": context.unit, **shown, "lacking": lacking})
+        print_json({"unit": context.unit, **texts, "lacking": lacking})
         return
     if several:
         print(f"unit {context.unit}:")
-    lines = {**shown, **{name: f"({reason})" for name, reason in lacking.items()}}
+    lines = {**texts, **{name: f"({reason})" for name, reason in lacking.items()}}
     width = max(map(len, lines))
     for name, text in lines.items():
         print(f"{'  ' * several}{name.replace('_', ' '):<{width}}  {text}")

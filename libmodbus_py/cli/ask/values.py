@@ -162,16 +162,16 @@ def _of_reads() -> dict[str, Any]:
 
     from ...maps.items import Read
 
-    return {each.name: each.default for each in fields(Read)} | {"padding": "NUL"}
+    return {field.name: field.default for field in fields(Read)} | {"padding": "NUL"}
 
 
 def names(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
     """Return the tables, and the names in the map that was typed before."""
     from .items import TABLE_WORDS, map_of
 
-    typed = [part for word in parsed_args.words for part in word.split("=", 1)]
+    parts = [part for word in parsed_args.words for part in word.split("=", 1)]
     with contextlib.suppress(OSError, ValueError, IndexError):
-        parsed_args.map = typed[typed.index("--map") + 1]
+        parsed_args.map = parts[parts.index("--map") + 1]
         return [*TABLE_WORDS, *(map_of(parsed_args) or ())]
     return [*TABLE_WORDS]
 

@@ -84,9 +84,9 @@ def watch(options: argparse.Namespace) -> int:
         def make() -> Any:
             from .shown_watch import ShownWatch
 
-            shown = ShownWatch(title, interval)
-            printers.append(shown.print)
-            return shown
+            page = ShownWatch(title, interval)
+            printers.append(page.print)
+            return page
 
         stack.enter_context(over_http.tables_shown(make, options))
         try:
@@ -104,13 +104,13 @@ def watch(options: argparse.Namespace) -> int:
 
 def _times(interval: float, count: int | None, lasts: float) -> Iterator[float]:
     """Yield when each poll is due, and wait in between; polls that would be late are left out."""
-    due = begun = time.monotonic()
+    due = start = time.monotonic()
     polls = 0
-    while polls != count and due < begun + lasts:
+    while polls != count and due < start + lasts:
         time.sleep(max(0.0, due - time.monotonic()))
         yield due
         polls += 1
-        due = begun + ((time.monotonic() - begun) // interval + 1) * interval
+        due = start + ((time.monotonic() - start) // interval + 1) * interval
 
 
 def _poll(reader: Watcher, context: Client, due: float, printers: Sequence[Printer]) -> bool:
@@ -120,8 +120,8 @@ def _poll(reader: Watcher, context: Client, due: float, printers: Sequence[Print
         results = reader.poll(context, due)
     except (ModbusError, CommandError) as error:
         reason = f"{error}{advice(error)}"
-    for each in printers:
-        each(reader.unit, results, reason)
+    for printer in printers:
+        printer(reader.unit, results, reason)
     return not reason
 
 
@@ -137,15 +137,15 @@ def _printers(options: argparse.Namespace, readers: Sequence[Watcher], title: st
         several = len(readers) > 1
         printers.append(printer_of(options, readers[0].items, several=several, are_polls=True))
     if is_table:
-        printers.append(TerminalTable(title, [each.unit for each in readers], screen).print)
+        printers.append(TerminalTable(title, [reader.unit for reader in readers], screen).print)
     elif is_file:
         printers.append(partial(_complain, dict[int, str]()))
     return printers
 
 
-def _complain(said: dict[int, str], unit: int, results: Sequence[ReadResult], reason: str) -> None:
+def _complain(notes: dict[int, str], unit: int, results: Sequence[ReadResult], reason: str) -> None:
     """Print why values of a unit are missing, when this is not what was `said` of it before."""
-    text = reason or "; ".join(each.failure for each in results if each.failure)
-    if text and text != said.get(unit):
+    text = reason or "; ".join(result.failure for result in results if result.failure)
+    if text and text != notes.get(unit):
         complain(text)
-    said[unit] = text
+    notes[unit] = text

@@ -47,7 +47,7 @@ def write(options: argparse.Namespace) -> int:
     """Send the requests, or print them for --dry-run; return 1 if --verify finds a difference."""
     words = Words(options, options.what, have_values=True)
     writes = _writes(options, words)
-    requests = [(each.item, request) for each in writes for request in each.requests]
+    requests = [(write.item, request) for write in writes for request in write.requests]
     if options.dry_run:
         _show(options, [request for _, request in requests])
         return 0
@@ -58,11 +58,11 @@ def write(options: argparse.Namespace) -> int:
     if options.verify and is_broadcast:
         raise ValueError("--verify cannot be used with unit 0: nothing answers a broadcast")
     with closing(new_client(options)) as context:
-        for done, (item, request) in enumerate(requests):
+        for count, (item, request) in enumerate(requests):
             try:
                 result = context.execute(request)
             except ModbusError as error:
-                earlier = f"; carried out before: {counted(done, 'request')}" * bool(done)
+                earlier = f"; carried out before: {counted(count, 'request')}" * bool(count)
                 hint = OTHERS.get(request.function, "") * isinstance(error, IllegalFunction)
                 raise CommandError(f"{reason_of(error, item)}{hint}{earlier}") from None
             if isinstance(request, pdu.ReadWriteRegisters):
@@ -70,10 +70,10 @@ def write(options: argparse.Namespace) -> int:
                 print("\n".join(aligned([result_of(first, result)])))
         # After the last write, because one may change what another wrote.
         differing: list[str] = []
-        for each in writes:
-            found = _verified(context, each, differing) if options.verify else None
+        for write in writes:
+            found_values = _verified(context, write, differing) if options.verify else None
             if options.screen.isatty():
-                _say(context, words.map, each, found)
+                _say(context, words.map, write, found_values)
     for line in differing:
         complain(line)
     return 1 if differing else 0
@@ -139,15 +139,15 @@ def _point_requests(
         values = [typed_value(point, text) for text in texts]
     except ValueError as error:
         raise ValueError(f"{point.name}: {error}") from None
-    wanted = {point.name: values[0] if item.count == 1 else values}
-    names = points.scale_sources(wanted)
+    new_values = {point.name: values[0] if item.count == 1 else values}
+    names = points.scale_sources(new_values)
     if names and options.dry_run:
         raise ValueError(f"--dry-run asks no device, and {names[0]} of the device is the scale")
     scales: dict[str, Any] = {}
     if names:
         with closing(new_client(options)) as context:
             scales = context.read_map(points, names)
-    return [*points.writes(wanted, write_function=_function(options), sources=scales)]
+    return [*points.writes(new_values, write_function=_function(options), sources=scales)]
 
 
 def _function(options: argparse.Namespace) -> WriteFunction:
@@ -211,10 +211,10 @@ def _verified(context: Client, write: Write, differing: list[str]) -> list[int]:
     read: list[int] = []
     for request in write.requests:
         (access,) = touched(request).writes
-        written, bits = access.values, 0xFFFF
+        values, bits = access.values, 0xFFFF
         if isinstance(request, pdu.MaskWriteRegister):
             # A bit of the AND mask keeps what was there, which is not known.
-            written, bits = (request.or_mask,), ~request.and_mask & 0xFFFF
+            values, bits = (request.or_mask,), ~request.and_mask & 0xFFFF
         if access.table == "file":
             record = access.file, access.address, access.count
             (cells,) = context.execute(pdu.ReadFileRecords((record,)))
@@ -223,9 +223,9 @@ def _verified(context: Client, write: Write, differing: list[str]) -> list[int]:
         first = access.address - item.address
         name = item.label if item.point is None else f"{item.point.name}, register {{}}".format
         differing += [
-            f"{name(first + at)}: wrote {int(wanted)}, reads {int(cell)}"
-            for at, (wanted, cell) in enumerate(zip(written, cells, strict=False))
-            if (int(wanted) ^ int(cell)) & bits
+            f"{name(first + at)}: wrote {int(value)}, reads {int(cell)}"
+            for at, (value, cell) in enumerate(zip(values, cells, strict=False))
+            if (int(value) ^ int(cell)) & bits
         ]
-        read += [int(cell) for cell in cells[: len(written)]]
+        read += [int(cell) for cell in cells[: len(values)]]
     return read

@@ -103,7 +103,7 @@ def _listen(options: argparse.Namespace) -> int:
         return _compare(options, place, is_live=is_live)
     if options.writes:
         raise ValueError("--writes needs --compare-with")
-    show, learned = _shower(options), _learned(options)
+    show, learned_map = _shower(options), _learned(options)
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     with listen(place, between=options.between, capture=options.capture) as line:
 
@@ -114,8 +114,8 @@ def _listen(options: argparse.Namespace) -> int:
         def take(transactions: Iterable[Transaction]) -> None:
             for transaction in transactions:
                 if options.units is None or transaction.unit in options.units:
-                    if learned is not None:
-                        learned.add_transaction(transaction)
+                    if learned_map is not None:
+                        learned_map.add_transaction(transaction)
                     show(transaction)
 
         try:
@@ -136,8 +136,8 @@ def _listen(options: argparse.Namespace) -> int:
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
-            if learned is not None:
-                _write(learned, options.learn, line.url)
+            if learned_map is not None:
+                _write(learned_map, options.learn, line.url)
 
 
 def _compare(options: argparse.Namespace, path: str, *, is_live: bool) -> int:
@@ -151,21 +151,21 @@ def _compare(options: argparse.Namespace, path: str, *, is_live: bool) -> int:
         raise ValueError(f"{reason} --compare-with")
     count = differing = 0
     with Client(options.compare_with) as client:
-        for found in differences(client, path, units=options.units, writes=options.writes):
+        for pair in differences(client, path, units=options.units, writes=options.writes):
             count += 1
-            if found is None:
+            if pair is None:
                 continue
             differing += 1
             if options.json:
-                now, error = found.answer, None
+                now, error = pair.answer, None
                 if isinstance(now, Exception):
                     now, error = None, str(now)
-                print_json({**_plain(found.transaction), "now": plain(now), "now_error": error})
+                print_json({**_plain(pair.transaction), "now": plain(now), "now_error": error})
             else:
-                now = _shown.repr(found.answer)
-                if isinstance(found.answer, Exception):
-                    now = str(found.answer)
-                print(f"{line_of(found.transaction)}; now {styled(now, RED)}", flush=True)
+                now = _shown.repr(pair.answer)
+                if isinstance(pair.answer, Exception):
+                    now = str(pair.answer)
+                print(f"{line_of(pair.transaction)}; now {styled(now, RED)}", flush=True)
     if not count:
         raise ValueError(f"{path}: no request to send; --writes sends those that write")
     complain(f"{counted(count, 'request')}, {differing} with another answer now")
@@ -180,14 +180,14 @@ def _shower(options: argparse.Namespace) -> Callable[[Transaction], None]:
     if points is None:
         if options.csv:
             raise ValueError("--csv needs --map, which has the names of the values")
-        return lambda each: print_json(_plain(each)) if options.json else _print_line(each)
+        return lambda pair: print_json(_plain(pair)) if options.json else _print_line(pair)
     from ...tools.listener.named import MapDecoder
 
     decoder = MapDecoder(points)
     if options.csv:
         print_csv([["time", "unit", "name", "value", "units", "written", "error"]])
     print_values = _print_csv if options.csv else _print_objects if options.json else _print_values
-    return lambda each: print_values(decoder, decoder.decode(each))
+    return lambda pair: print_values(decoder, decoder.decode(pair))
 
 
 def _learned(options: argparse.Namespace) -> LearnedMap | None:
@@ -201,10 +201,10 @@ def _learned(options: argparse.Namespace) -> LearnedMap | None:
     return LearnedMap()
 
 
-def _write(learned: LearnedMap, path: str, url: str) -> None:
+def _write(learned_map: LearnedMap, path: str, url: str) -> None:
     from ..ask.map_actions import write_map
 
-    points = learned.points()
+    points = learned_map.points()
     if not points:
         complain(f"{path} is not written: no register was read or written")
         return
@@ -254,32 +254,32 @@ def _plain(transaction: Transaction) -> dict[str, Any]:
 
 
 def _print_values(decoder: MapDecoder, values: Iterable[NamedValue]) -> None:
-    for each in values:
-        clock = clock_text(each.time, with_milliseconds=True)
-        for row in _rows(decoder, each):
-            text = f"{clock} {each.unit:>3}  {row.where}  {row.text} {row.unit}".rstrip()
-            print(harmless(f"{text}{'  (written)' * each.is_written}"), flush=True)
+    for value in values:
+        clock = clock_text(value.time, with_milliseconds=True)
+        for row in _rows(decoder, value):
+            text = f"{clock} {value.unit:>3}  {row.where}  {row.text} {row.unit}".rstrip()
+            print(harmless(f"{text}{'  (written)' * value.is_written}"), flush=True)
 
 
 def _print_csv(decoder: MapDecoder, values: Iterable[NamedValue]) -> None:
-    for each in values:
-        whence = [time_text(each.time), each.unit]
-        rest = [each.units, int(each.is_written), each.reason]
-        print_csv([*whence, row.where, row.plain, *rest] for row in _rows(decoder, each))
+    for value in values:
+        whence = [time_text(value.time), value.unit]
+        rest = [value.units, int(value.is_written), value.reason]
+        print_csv([*whence, row.where, row.plain, *rest] for row in _rows(decoder, value))
 
 
 def _print_objects(_: MapDecoder, values: Iterable[NamedValue]) -> None:
-    for each in values:
+    for value in values:
         fields = {
-            "time": time_text(each.time),
-            "unit": each.unit,
-            "name": each.name,
-            "value": plain(each.value),
-            "units": each.units,
-            "written": each.is_written,
+            "time": time_text(value.time),
+            "unit": value.unit,
+            "name": value.name,
+            "value": plain(value.value),
+            "units": value.units,
+            "written": value.is_written,
         }
-        missing = {"no_value": {"quality": each.quality, "reason": each.reason}}
-        print_json({**fields, **missing} if each.reason else fields)
+        missing = {"no_value": {"quality": value.quality, "reason": value.reason}}
+        print_json({**fields, **missing} if value.reason else fields)
 
 
 def _rows(decoder: MapDecoder, value: NamedValue) -> list[ValueText]:

@@ -36,25 +36,25 @@ def add_command(command: Parser) -> None:
 
 def _ports(options: argparse.Namespace) -> int:
     every = serial_devices()
-    devices = every if options.all else [each for each in every if each.vendor] or every
+    devices = every if options.all else [device for device in every if device.vendor] or every
     if options.json:
-        for each in devices:
-            print_json(asdict(each))
+        for device in devices:
+            print_json(asdict(device))
     elif options.csv:
-        print_csv([COLUMNS, *([getattr(each, name) for name in COLUMNS] for each in devices)])
+        print_csv([COLUMNS, *([getattr(device, name) for name in COLUMNS] for device in devices)])
     else:
         _print_table(devices)
     return 0 if every else 1
 
 
-def _print_table(found: list[SerialDevice]) -> None:
-    if not found:
+def _print_table(devices: list[SerialDevice]) -> None:
+    if not devices:
         print("no serial port was found")
-    width = max((len(each.path) for each in found), default=0)
-    for each in found:
-        number = each.serial_number and f"serial number {each.serial_number}"
-        parts = [each.driver, each.vendor, each.product, number]
+    width = max((len(device.path) for device in devices), default=0)
+    for device in devices:
+        number = device.serial_number and f"serial number {device.serial_number}"
+        parts = [device.driver, device.vendor, device.product, number]
         about = ", ".join(part for part in parts if part)
-        print(harmless(f"{each.path:<{width}}  {each.state}; {about}".rstrip("; ")))
-        if each.stable_path:
-            print(harmless(f"{'':<{width}}  {each.stable_path}"))
+        print(harmless(f"{device.path:<{width}}  {device.state}; {about}".rstrip("; ")))
+        if device.stable_path:
+            print(harmless(f"{'':<{width}}  {device.stable_path}"))

@@ -125,43 +125,43 @@ def _scan(options: argparse.Namespace) -> int:
         )
         options.quick = options.quick or options.units is None
         urls = _listening(hosts, timeout)
-    stopped = True
+    is_stopped = True
     try:
         for url in urls:
             _scan_place(options, report, url)
         if options.deep:
             _search(report)
-        stopped = False
+        is_stopped = False
     except KeyboardInterrupt:
         return INTERRUPTED
     finally:
-        report.end(stopped=stopped)
+        report.end(stopped=is_stopped)
     return 0 if report.found else 1
 
 
 def _scan_place(options: argparse.Namespace, report: _Report, url: str) -> None:
     is_one = url == options.url
     endpoint = with_options([url], options)[0]
-    chosen = {name: getattr(options, name) for name in ("baudrates", "parities", "units")}
+    settings = {name: getattr(options, name) for name in ("baudrates", "parities", "units")}
     if options.quick:
         usual: dict[str, Any] = {"units": [*probe.USUAL_UNITS, *[255] * (not endpoint.is_serial)]}
         if endpoint.is_serial:
             usual |= {"baudrates": QUICK_BAUDRATES, "parities": QUICK_PARITIES}
-        chosen = {name: value or usual.get(name) for name, value in chosen.items()}
-    scanned = scan(endpoint.url, on_progress=report.progress, **chosen)
+        settings = {name: value or usual.get(name) for name, value in settings.items()}
+    units = scan(endpoint.url, on_progress=report.progress, **settings)
     place = "" if is_one else f"{url}: "
-    report.say(f"{place}{_estimate(scanned, options.deep)}")
+    report.say(f"{place}{_estimate(units, options.deep)}")
     try:
-        with scanned:
-            for found in scanned:
-                report.add(found, place)
+        with units:
+            for unit in units:
+                report.add(unit, place)
     except ModbusConnectionError:
         if is_one:
             raise
         report.notes.append(f"{url}: the connection was lost")
     finally:
-        report.notes += scanned.notes
-        report.tried |= scanned.tried
+        report.notes += units.notes
+        report.tried |= units.tried
 
 
 def _estimate(scan: Scan, deep: bool) -> str:
@@ -180,22 +180,22 @@ def _estimate(scan: Scan, deep: bool) -> str:
 
 
 def _search(report: _Report) -> None:
-    left = MOST_IN_ALL
-    for found in report.found:
-        if left < MOST_REQUESTS:
+    budget = MOST_IN_ALL
+    for unit in report.found:
+        if budget < MOST_REQUESTS:
             report.notes.append(
-                f"unit {found.unit} and those after it were not searched, because {MOST_IN_ALL}"
+                f"unit {unit.unit} and those after it were not searched, because {MOST_IN_ALL}"
                 " requests in all are the limit"
             )
             return
-        searched = search(found.url, on_progress=report.progress)
+        result = search(unit.url, on_progress=report.progress)
         try:
-            with searched:
-                for _ in searched:
+            with result:
+                for _ in result:
                     pass
         finally:
-            left -= searched.requests
-            report.deepen(found, searched.extents, searched.requests)
+            budget -= result.requests
+            report.deepen(unit, result.extents, result.requests)
 
 
 # --- results ---------------------------------------------------------------------------
@@ -226,13 +226,13 @@ class _Report:
         self._has_begun = True  # after the estimate: wrong usage is refused before
         print(text, file=sys.stderr, flush=True)
 
-    def add(self, found: FoundUnit, place: str) -> None:
-        self.found.append(found)
-        self._print(f"{self._mark}{place}{_line(found)}")
+    def add(self, unit: FoundUnit, place: str) -> None:
+        self.found.append(unit)
+        self._print(f"{self._mark}{place}{_line(unit)}")
 
-    def deepen(self, found: FoundUnit, extents: list[Extent], requests: int) -> None:
-        self._extents[found.url] = extents
-        self._print(_toml(found, extents, requests, has_values=self._has_values))
+    def deepen(self, unit: FoundUnit, extents: list[Extent], requests: int) -> None:
+        self._extents[unit.url] = extents
+        self._print(_toml(unit, extents, requests, has_values=self._has_values))
 
     def end(self, *, stopped: bool) -> None:
         self._status.clear()
@@ -240,14 +240,14 @@ class _Report:
             self.say(note)
         if self._as_json and self._has_begun:
             facts = [
-                _plain(each, self._extents.get(each.url), has_values=self._has_values)
-                for each in self.found
+                _plain(unit, self._extents.get(unit.url), has_values=self._has_values)
+                for unit in self.found
             ]
-            tried = {setting: _units(units) for setting, units in self.tried.items()}
-            print_json({"found": facts, "tried": tried, "notes": self.notes, "stopped": stopped})
+            tries = {setting: _units(units) for setting, units in self.tried.items()}
+            print_json({"found": facts, "tried": tries, "notes": self.notes, "stopped": stopped})
         elif self.tried or self.hosts:
-            found = counted(len(self.found), "unit") if self.found else "no unit"
-            self.say(f"tried {self._all_tried()}: {found} found{' so far' * stopped}")
+            count = counted(len(self.found), "unit") if self.found else "no unit"
+            self.say(f"tried {self._all_tried()}: {count} found{' so far' * stopped}")
 
     def _all_tried(self) -> str:
         if self.hosts:
@@ -267,25 +267,25 @@ class _Report:
             print(text, flush=True)
 
 
-def _line(found: FoundUnit) -> str:
-    what = "" if found.exception is None else f", exception {found.exception}"
-    late = ", late" * found.is_late
-    who = "any unit" if found.is_any else f"unit {found.unit}"
-    parts = [f"{who}{_at(found)}: {found.took * 1000:.0f} ms{what}{late}"]
-    if found.identification is not None:
-        objects = sorted(found.identification.objects.items())
+def _line(unit: FoundUnit) -> str:
+    what = "" if unit.exception is None else f", exception {unit.exception}"
+    late = ", late" * unit.is_late
+    who = "any unit" if unit.is_any else f"unit {unit.unit}"
+    parts = [f"{who}{_at(unit)}: {unit.took * 1000:.0f} ms{what}{late}"]
+    if unit.identification is not None:
+        objects = sorted(unit.identification.objects.items())
         parts.append(", ".join(_safe(value) for _, value in objects if value))
-    if found.server_id is not None:
-        parts.append(f"server id {_safe(found.server_id.data)}")
+    if unit.server_id is not None:
+        parts.append(f"server id {_safe(unit.server_id.data)}")
     return "; ".join(part for part in parts if part)
 
 
-def _at(found: FoundUnit) -> str:
+def _at(unit: FoundUnit) -> str:
     """Return the setting at which a unit was found, such as " at 9600 8E1"; "" on networks."""
-    if found.baudrate is None:
+    if unit.baudrate is None:
         return ""
-    form = f"{found.data_bits}{found.parity}{found.stop_bits}"
-    return f" at {_form(f'{found.baudrate} {form}')}"
+    form = f"{unit.data_bits}{unit.parity}{unit.stop_bits}"
+    return f" at {_form(f'{unit.baudrate} {form}')}"
 
 
 def _form(setting: str) -> str:
@@ -296,59 +296,59 @@ def _form(setting: str) -> str:
 def _units(units: Iterable[int]) -> str:
     """Return units as they are typed, such as "1-10,17"."""
     ranges = joined(range(unit, unit + 1) for unit in units)
-    return ",".join(f"{each[0]}-{each[-1]}" if len(each) > 1 else f"{each[0]}" for each in ranges)
+    return ",".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in ranges)
 
 
 def _safe(data: bytes) -> str:
     """Return text without control characters, short enough for a line."""
-    shown = "".join(chr(byte) if 0x20 <= byte < 0x7F else f"\\x{byte:02x}" for byte in data)
-    return shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}..."
+    text = "".join(chr(byte) if 0x20 <= byte < 0x7F else f"\\x{byte:02x}" for byte in data)
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
 
 
-def _toml(found: FoundUnit, extents: list[Extent], requests: int, *, has_values: bool) -> str:
+def _toml(unit: FoundUnit, extents: list[Extent], requests: int, *, has_values: bool) -> str:
     """Return the tables of a unit, as a device file describes them."""
-    lines = [f"\n# unit {found.unit}{_at(found)}: {requests} requests"]
+    lines = [f"\n# unit {unit.unit}{_at(unit)}: {requests} requests"]
     lines += [f"# {extent.table}: {text}" for extent in extents if (text := missing(extent))]
-    lines += ["[[unit]]"] + [f"id = {found.unit}"] * (not found.is_any)
+    lines += ["[[unit]]"] + [f"id = {unit.unit}"] * (not unit.is_any)
     for extent in extents:
-        for each, values in zip(extent.ranges, extent.values, strict=True):
-            lines += [f"\n[[unit.{extent.table}]]", f"address = {each.start}"]
+        for range_, values in zip(extent.ranges, extent.values, strict=True):
+            lines += [f"\n[[unit.{extent.table}]]", f"address = {range_.start}"]
             if has_values:
                 lines.append(f"values = {values}")
-            elif len(each) > 1:
-                lines.append(f"count = {len(each)}")
+            elif len(range_) > 1:
+                lines.append(f"count = {len(range_)}")
     return "\n".join(lines)
 
 
-def _plain(found: FoundUnit, extents: list[Extent] | None, *, has_values: bool) -> dict[str, Any]:
+def _plain(unit: FoundUnit, extents: list[Extent] | None, *, has_values: bool) -> dict[str, Any]:
     # fmt: off
     names = (
         "unit", "url", "baudrate", "parity", "data_bits", "stop_bits", "took", "exception",
         "is_late", "is_any",
     )
     # fmt: on
-    fields = {name: getattr(found, name) for name in names} | {"took": round(found.took, 4)}
-    fields["server_id"] = None if found.server_id is None else found.server_id.data.hex()
+    fields = {name: getattr(unit, name) for name in names} | {"took": round(unit.took, 4)}
+    fields["server_id"] = None if unit.server_id is None else unit.server_id.data.hex()
     fields["identification"] = None
-    if found.identification is not None:
+    if unit.identification is not None:
         fields["identification"] = {
             OBJECT_NAMES.get(number, str(number)): value.decode("ascii", "backslashreplace")
-            for number, value in found.identification.objects.items()
+            for number, value in unit.identification.objects.items()
         }
     if extents is not None:
         fields["tables"] = {
-            each.table: {
+            extent.table: {
                 "ranges": [
                     {"address": part.start, "count": len(part)}
                     | ({"values": values} if has_values else {})
-                    for part, values in zip(each.ranges, each.values, strict=True)
+                    for part, values in zip(extent.ranges, extent.values, strict=True)
                 ],
-                "unseen": each.unseen,
-                "ended": each.ended,
-                "most": each.most,
-                "requests": each.requests,
+                "unseen": extent.unseen,
+                "ended": extent.ended,
+                "most": extent.most,
+                "requests": extent.requests,
             }
-            for each in extents
+            for extent in extents
         }
     return fields
 

@@ -79,9 +79,9 @@ def _asked(context: Client, base: int | None) -> list[dict[str, Any]]:
 def _print_table(rows: list[dict[str, Any]]) -> None:
     if rows and "unit" in rows[0]:
         print(f"unit {rows[0]['unit']}:")
-    shown = [row for row in rows if row["value"] is not None]
-    width = max((len(row["name"]) for row in shown), default=0)
-    for row in shown:
+    rows_with_values = [row for row in rows if row["value"] is not None]
+    width = max((len(row["name"]) for row in rows_with_values), default=0)
+    for row in rows_with_values:
         line = f"{row['address']:>5}  {row['name']:<{width}}  {_text(row['value'])} {row['units']}"
         print(harmless(line.rstrip()))
 
@@ -91,5 +91,5 @@ def _text(value: Any) -> str:
     if isinstance(value, dict):
         return " ".join(name for name, is_set in value.items() if is_set) or "-"
     if isinstance(value, list):
-        return " ".join(str(int(each)) for each in value)
+        return " ".join(str(int(element)) for element in value)
     return "" if value is None else str(value)

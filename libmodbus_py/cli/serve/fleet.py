@@ -89,7 +89,7 @@ def poll(
     options: argparse.Namespace,
     file: FleetFile,
     outputs: Sequence[Output],
-    exposed: Exposed,
+    exposure: Exposed,
     show: Show | None,
     hangup: Hangup,
 ) -> int:
@@ -124,7 +124,7 @@ def poll(
                 leaving = {signal.SIGINT: polling.leave, signal.SIGTERM: polling.leave}
                 screen = asyncio.create_task(show(polling.fleet)) if show else None
                 try:
-                    with signal_handlers(leaving), exposed(polling.fleet):
+                    with signal_handlers(leaving), exposure(polling.fleet):
                         notify_ready()
                         await polling.run()
                 finally:
@@ -163,8 +163,8 @@ async def _engine(
 async def _push(servers: list[str], settings: FleetSettings, connections: list[Connection]) -> int:
     async with _engine(servers, "libmodbus-py push") as client:
         counts = await _answered(lambda: _pushed(client, settings, connections), ELECTION)
-    new, changes, gone = counts
-    print(f"{len(connections)} connections: {new} new, {changes} changed, {gone} gone")
+    new, changes, removals = counts
+    print(f"{len(connections)} connections: {new} new, {changes} changed, {removals} gone")
     return 0
 
 
@@ -229,6 +229,6 @@ async def _status(servers: list[str], as_json: bool) -> int:
         print(contents.tables(status), flush=True)
     for name, zone in status["zones"].items():
         if not zone["workers"]:
-            told = f"zone {name!r}" if name else "devices without a zone"
-            complain(f"no worker polls {told}")
+            zone_text = f"zone {name!r}" if name else "devices without a zone"
+            complain(f"no worker polls {zone_text}")
     return 0 if contents.is_polled(status) else 1

@@ -133,17 +133,17 @@ def _overridden(
 ) -> tuple[list[str], list[Route]]:
     """Return where to listen and the routes, with the options that were typed."""
     places = [*urls, *(route.url for route in routes)]
-    places = [each.url for each in with_options(places, options, SERIAL_OPTIONS)]
+    places = [with_option.url for with_option in with_options(places, options, SERIAL_OPTIONS)]
     listen = with_options(places[: len(urls)], options, SECURITY_OPTIONS)
     devices = with_options(places[len(urls) :], options, OF_DEVICES)
-    return [each.url for each in listen], [
-        replace(route, url=each.url) for route, each in zip(routes, devices, strict=True)
+    return [endpoint.url for endpoint in listen], [
+        replace(route, url=device.url) for route, device in zip(routes, devices, strict=True)
     ]
 
 
 def _read_again(gateway: Gateway, path: str, before: config.GatewayFile) -> str:
     def use(file: config.GatewayFile) -> str:
-        earlier, now = ({each.units: each for each in of} for of in (gateway.routes, file.routes))
+        earlier, now = ({row.units: row for row in rows} for rows in (gateway.routes, file.routes))
         gateway.change_routes(file.routes)
         line = compared(path, "route", earlier, now)
         if (file.listen, repr(file.options)) != (before.listen, repr(before.options)):

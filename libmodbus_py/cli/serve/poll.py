@@ -98,8 +98,8 @@ def _poll(options: argparse.Namespace) -> int:
         try:
             file = load(options.file)
         except FleetFileError as error:
-            for each in (error, *error.others):
-                complain(str(each))
+            for mistake in (error, *error.others):
+                complain(str(mistake))
             return 2
         for note in file.notes:
             complain(note)
@@ -111,10 +111,10 @@ def _poll(options: argparse.Namespace) -> int:
 
 
 def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
-    for each in overloads(file.devices):
-        logger.warning("%s", each)
+    for overload in overloads(file.devices):
+        logger.warning("%s", overload)
     outputs = _outputs(file, options)
-    is_printed = any(getattr(each, "path", None) == STANDARD_OUTPUT for each in outputs)
+    is_printed = any(getattr(output, "path", None) == STANDARD_OUTPUT for output in outputs)
     has_screen = sys.stderr.isatty() and not (is_printed and sys.stdout.isatty())
     # Frames of --verbose would be printed into the table.
     is_line = os.environ.get("TERM", "dumb") == "dumb" or options.verbose
@@ -125,12 +125,12 @@ def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
 
         page = PageOutput()
         outputs.append(page)
-    seen = partial(_seen, options, file, page)
+    on_readings = partial(_seen, options, file, page)
     show = partial(_show, has_table) if has_screen else None
     if options.engine is not None:
-        return workers.poll(options, file, outputs, seen, show, hangup)
+        return workers.poll(options, file, outputs, on_readings, show, hangup)
     fleet = Fleet(file.devices, outputs=outputs, journal=file.make_journal())
-    with seen(fleet):
+    with on_readings(fleet):
         workers.run_to_end(_run(fleet, options, file, hangup, show))
     if not options.once:
         return 0
@@ -181,16 +181,16 @@ async def _run(
     hangup: Hangup,
     show: workers.Show | None,
 ) -> None:
-    started, stopped = time.monotonic(), asyncio.Event()
-    asked: asyncio.Queue[list[str]] = asyncio.Queue()
+    start, stop = time.monotonic(), asyncio.Event()
+    requests: asyncio.Queue[list[str]] = asyncio.Queue()
     polling = asyncio.create_task(fleet.run(once=options.once))
-    tasks = [polling, asyncio.create_task(_reload(fleet, options.file, file, asked))]
+    tasks = [polling, asyncio.create_task(_reload(fleet, options.file, file, requests))]
     tasks += [asyncio.create_task(show(fleet))] if show else []
-    waiting = asyncio.create_task(stopped.wait())
+    waiting = asyncio.create_task(stop.wait())
     handlers: dict[signal.Signals, Handler] = {
-        signal.SIGINT: stopped.set,
-        signal.SIGTERM: stopped.set,
-        signal.SIGHUP: hangup.answered(asked.put_nowait),
+        signal.SIGINT: stop.set,
+        signal.SIGTERM: stop.set,
+        signal.SIGHUP: hangup.answered(requests.put_nowait),
     }
     with signal_handlers(handlers):
         hangup.release()
@@ -203,8 +203,8 @@ async def _run(
                 for task in (waiting, *tasks):
                     task.cancel()
                 await asyncio.wait(tasks)
-                if stopped.is_set() or show:
-                    inform(_summary(fleet, time.monotonic() - started), sys.stderr)
+                if stop.is_set() or show:
+                    inform(_summary(fleet, time.monotonic() - start), sys.stderr)
                     for line, _ in _counts(fleet):
                         inform(line, sys.stderr)
     if not polling.cancelled():
@@ -212,7 +212,7 @@ async def _run(
 
 
 async def _reload(
-    fleet: Fleet, path: str, kept: FleetFile, asked: asyncio.Queue[list[str]]
+    fleet: Fleet, path: str, former: FleetFile, requests: asyncio.Queue[list[str]]
 ) -> None:
     """
     Read the fleet file again, in a thread, each time it is asked for, and log what changed.
@@ -223,13 +223,13 @@ async def _reload(
     thread.start()
     try:
         while True:
-            of_others = await asked.get()
+            of_others = await requests.get()
             try:
                 file = await thread.call(load, path)
-                before = {name: each.config for name, each in fleet.devices.items()}
+                before = {name: row.config for name, row in fleet.devices.items()}
                 fleet.replace(file.devices)
-                line = compared(path, "device", before, {each.name: each for each in file.devices})
-                if (file.outputs, file.journal) != (kept.outputs, kept.journal):
+                line = compared(path, "device", before, {row.name: row for row in file.devices})
+                if (file.outputs, file.journal) != (former.outputs, former.journal):
                     line = Problem(
                         f"{line}; its outputs have changed, and are used after a restart"
                     )
@@ -272,9 +272,9 @@ async def _show(has_table: bool, fleet: Fleet) -> None:
 
 
 def _dropped(statistics: FleetStatistics) -> Iterator[str]:
-    for name, each in {**statistics.outputs, "journal": statistics.journal}.items():
-        if each is not None and each.dropped:
-            yield f"{name}: {each.dropped} dropped"
+    for name, output in {**statistics.outputs, "journal": statistics.journal}.items():
+        if output is not None and output.dropped:
+            yield f"{name}: {output.dropped} dropped"
 
 
 def _summary(fleet: Fleet, seconds: float) -> str:
@@ -290,10 +290,10 @@ def _summary(fleet: Fleet, seconds: float) -> str:
 def _counts(fleet: Fleet) -> Iterator[tuple[str, bool]]:
     """Yield a line about each output and the journal, and True if it did not take all readings."""
     statistics = fleet.statistics
-    for name, each in statistics.outputs.items():
-        waiting = f", {each.waiting} wait in the journal" if each.waiting else ""
-        text = f"{name}: {each.written} written, {each.dropped} dropped{waiting}: {each.trouble}"
-        yield text.removesuffix(": "), bool(each.dropped or each.waiting)
+    for name, row in statistics.outputs.items():
+        waiting = f", {row.waiting} wait in the journal" if row.waiting else ""
+        text = f"{name}: {row.written} written, {row.dropped} dropped{waiting}: {row.trouble}"
+        yield text.removesuffix(": "), bool(row.dropped or row.waiting)
     if (journal := statistics.journal) is not None:
         size = f"{journal.bytes / 1e6:.1f} MB"
         text = f"journal: {journal.written} written, {journal.dropped} dropped, {size}"
@@ -307,18 +307,18 @@ ROW = "{:<24} {:<36} {:>4} {:>8} {:>9} {:>9}  {}"
 
 async def _check(devices: list[DeviceConfig]) -> int:
     print(ROW.format("device", "url", "unit", "requests", "took", "interval", "result"))
-    failed = 0
+    failures = 0
     async with contextlib.aclosing(trial_polls(devices)) as results:
-        async for each in results:
-            device, took = each.device, f"{each.seconds * 1000:.0f} ms"
+        async for result in results:
+            device, took = result.device, f"{result.seconds * 1000:.0f} ms"
             place = device.name, str(device.endpoint), device.unit
             interval = f"{device.interval:g} s"
-            row = ROW.format(*place, each.requests, took, interval, each.problem or "ok")
+            row = ROW.format(*place, result.requests, took, interval, result.problem or "ok")
             print(row, flush=True)
-            failed += bool(each.problem)
+            failures += bool(result.problem)
     too_much = overloads(devices)
     for line in too_much:
         complain(str(line))
-    if failed:
-        complain(f"{failed} of {len(devices)} devices failed, or had bad points")
-    return 1 if failed or too_much else 0
+    if failures:
+        complain(f"{failures} of {len(devices)} devices failed, or had bad points")
+    return 1 if failures or too_much else 0

@@ -65,7 +65,7 @@ class _ServingCommand:
         self._trail = trail
         self._options = options
         self._hangup = hangup
-        limits = typed_options(options, [each.name for each in fields(Limits)])
+        limits = typed_options(options, [field.name for field in fields(Limits)])
         if limits.get("idle_timeout") == math.inf:
             limits["idle_timeout"] = None
         if limits:
@@ -139,14 +139,14 @@ def announce(urls: Sequence[str], *, is_guarded: bool) -> None:
     for url in urls:
         inform(f"listening on {url}")
     ends = {} if is_guarded else {url: parse(url) for url in urls}
-    unguarded = [
+    open_urls = [
         url
         for url, end in ends.items()
         if not (end.has_path or end.is_secure or is_loopback(end.host))
     ]
-    if unguarded:
+    if open_urls:
         complain(
-            f"anyone who can reach {', '.join(unguarded)} can read and write; --allow NETWORK,"
+            f"anyone who can reach {', '.join(open_urls)} can read and write; --allow NETWORK,"
             " or tls:// with certificates, restricts access",
             "warning",
         )
@@ -190,7 +190,7 @@ class Hangup:
             if self._can_close and not _has_terminal():
                 signal.raise_signal(signal.SIGTERM)
             else:
-                answer([*(each() for each in files), *reload_all()])
+                answer([*(file() for file in files), *reload_all()])
 
         return hung_up
 
@@ -244,7 +244,7 @@ def add_limits(command: Parser) -> Any:
     declare(
         group,
         OF_LIMITS,
-        lambda: {each.name: each.default for each in fields(Limits) if each.name != "allow"},
+        lambda: {field.name: field.default for field in fields(Limits) if field.name != "allow"},
         max_unsent={"type": int},
         requests_per_second={"type": float},
         when_full={"choices": FULL_POLICIES},

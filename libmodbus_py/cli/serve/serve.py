@@ -105,7 +105,7 @@ def _serve(options: argparse.Namespace) -> int:
     if path is None and (files := [url for url in urls if url.endswith((".toml", ".csv"))]):
         option = "--device" if files[0].endswith(".toml") else "--map"
         raise ValueError(f"{files[0]} is no URL: type {option} {files[0]}")
-    urls = [each.url for each in with_options(urls, options, OF_SERVERS)]
+    urls = [with_option.url for with_option in with_options(urls, options, OF_SERVERS)]
     if options.reload and path is None:
         raise ValueError("--reload needs --device or --example")
     if options.units and path is not None:
@@ -150,8 +150,8 @@ def _serve(options: argparse.Namespace) -> int:
 
 def _simulation(options: argparse.Namespace, path: str | None) -> device_file.Simulation | None:
     if options.map is not None:
-        said = ListOptions(**arguments.list_keys(options))
-        return device_file.mapped_simulation(options.map, options.units or (), said)
+        list_options = ListOptions(**arguments.list_keys(options))
+        return device_file.mapped_simulation(options.map, options.units or (), list_options)
     if arguments.list_keys(options):
         raise ValueError("--column, --from and --list need --map")
     return None if path is None else device_file.load(path)

@@ -68,8 +68,8 @@ class FileText(UserString):
     would read a file without credentials for ever, while nothing else runs.
     """
 
-    def __init__(self, name: str, path: str, *needed: str) -> None:
-        self._content = RenewedValue(partial(_secret, f"{name}: {path}", path, needed))
+    def __init__(self, name: str, path: str, *keys: str) -> None:
+        self._content = RenewedValue(partial(_secret, f"{name}: {path}", path, keys))
 
     @property
     def data(self) -> str:  # type: ignore[override]
@@ -79,12 +79,12 @@ class FileText(UserString):
         return UserString(self.data.strip(chars))
 
 
-def _secret(where: str, path: str, needed: tuple[str, ...]) -> str:
+def _secret(where: str, path: str, keys: tuple[str, ...]) -> str:
     try:
         text = read_secret(path)
     except (OSError, ValueError) as error:
         raise ValueError(f"{where}: {getattr(error, 'strerror', None) or error}") from None
-    for name in needed:
+    for name in keys:
         if name not in text:
             raise ValueError(f"{where}: contains no {name!r}")
     return text
@@ -173,12 +173,12 @@ def _identity(environment: Mapping[str, str]) -> dict[str, Any]:
     options: dict[str, Any] = {
         key: environment[name] for name, key in names.items() if environment.get(name)
     }
-    for name, (key, needed) in FILES.items():
+    for name, (key, keys) in FILES.items():
         if environment.get(name):
             if find_spec("nkeys") is None:
                 raise EngineError(f"{name} needs nkeys: pip install nkeys")
             try:
-                options[key] = FileText(name, environment[name], *needed)
+                options[key] = FileText(name, environment[name], *keys)
             except ValueError as error:
                 raise EngineError(str(error)) from None
     return options

@@ -173,8 +173,8 @@ class _Reader:
             content, note = read_table(path, FleetFileError, file.get("encoding"))
         try:
             text = table_of(content)
-            skipped = f"rows above the headings that are skipped: {text.skipped}"
-            notes = [note, skipped if text.skipped else ""]
+            rows_skipped = f"rows above the headings that are skipped: {text.skipped}"
+            notes = [note, rows_skipped if text.skipped else ""]
             self._notes += [f"{path}: {note}" for note in notes if note]
             for row in text.rows():
                 yield partial(_of_row, path, text, row), partial(keys_in, text, row), path.parent
@@ -228,8 +228,8 @@ class _Reader:
     def _outputs(self, kinds: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
         """Return the kind and the arguments of each output, which is made to check them."""
         outputs, places, trial = [], [], list[Output]()
-        for kind, described in kinds.items():
-            for path, raw in described:
+        for kind, output_tables in kinds.items():
+            for path, raw in output_tables:
                 with inside(*path):
                     keys = {key: _filled(key, value) for key, value in self._secrets(raw).items()}
                     if isinstance(keys.get("path"), str) and keys["path"] != "-":

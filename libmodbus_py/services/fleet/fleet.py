@@ -56,10 +56,10 @@ def first_time(name: str, interval: float, now: float, wall: float) -> float:
     return now + (phase - wall) % interval
 
 
-def next_time(planned: float, interval: float, now: float) -> tuple[float, int]:
+def next_time(due: float, interval: float, now: float) -> tuple[float, int]:
     """Return the first time after now, and how many earlier times are skipped."""
-    skips = max(0, int((now - planned) // interval))
-    return planned + (skips + 1) * interval, skips
+    skips = max(0, int((now - due) // interval))
+    return due + (skips + 1) * interval, skips
 
 
 @named_arguments
@@ -255,8 +255,8 @@ class Fleet:
                 )
             self._end(poller)
         urls = {device.connection_key: device.endpoint.url for device in after.values()}
-        ended = [key for key, line in self._lines.items() if line.url != urls.get(key)]
-        for key in ended:
+        ended_keys = [key for key, line in self._lines.items() if line.url != urls.get(key)]
+        for key in ended_keys:
             self._end_line(key)
         self._plans = [plan for plan in self._plans if plan[2].name in self._pollers]
         heapify(self._plans)
@@ -332,14 +332,14 @@ class Fleet:
         for _ in range(MOST_AT_ONCE):
             if not self._plans or self._plans[0][0] > now:
                 break
-            planned, _, poller = heappop(self._plans)
-            if planned != poller.at:
+            due, _, poller = heappop(self._plans)
+            if due != poller.at:
                 continue
             if not self._once:
-                at, skips = next_time(planned, poller.interval, now)
+                at, skips = next_time(due, poller.interval, now)
                 self.statistics.skipped += skips
                 self._plan(poller, at)
-            self._lines[poller.config.connection_key].due(poller, planned)
+            self._lines[poller.config.connection_key].due(poller, due)
         self._set_alarm()
 
     def _set_alarm(self) -> None:
@@ -379,9 +379,9 @@ class Fleet:
     def _poll_after(self, poller: Poller, pause: float = 0.0) -> None:
         """Poll a device at the first of its times after a pause, and not before."""
         if self._loop is not None and not self._once:
-            planned, now = poller.at, self._loop.time()
-            times = (now + pause - planned) // poller.interval + 1
-            self._plan(poller, planned + times * poller.interval)
+            due, now = poller.at, self._loop.time()
+            times = (now + pause - due) // poller.interval + 1
+            self._plan(poller, due + times * poller.interval)
             self._set_alarm()
 
     # --- readings ----------------------------------------------------------------------------

@@ -168,18 +168,18 @@ class Poller(LineRequest):
 
     # --- a poll -----------------------------------------------------------------------------
 
-    def begin(self, planned: float = 0.0, connects: int = 1) -> None:
+    def begin(self, due_at: float = 0.0, connects: int = 1) -> None:
         """Begin a poll that is due at `planned`; the client has made so many connections."""
-        self.waits_since = planned
+        self.waits_since = due_at
         if self._pace is not None:
-            due = self._pace.due(planned)
+            due = self._pace.due(due_at)
             self._due = None if due is None else tuple(sorted({*due, *self._written}))
         self.is_written = False
         for at in self._written:
             self._changes.forget(at)
         self._written.clear()
         self._plan = self.reads.plan_of(self._due)
-        self._time = planned, connects
+        self._time = due_at, connects
         self._first_error: ModbusError | None = None
         self._is_answered = False
         self._steps: Generator[Any, Any, list[Any]] | None = None
@@ -265,17 +265,17 @@ class Poller(LineRequest):
         if doubtful:
             every = range(len(names)) if due is None else due
             due = tuple(at for at in every if at not in doubtful)
-        reported = self._changes.pick(values, due, self._time[0])
+        positions = self._changes.pick(values, due, self._time[0])
         if due is None:
             self._values = values
         else:
             for at in due:
                 self._values[at] = values[at]
         if self._reasons:
-            for at in reported:
+            for at in positions:
                 self._reasons.pop(at, None)
         device, units, labels, readings = self.name, self.reads.units, self.config.labels, []
-        for at, number in zip(reported, count(first) if first else repeat(0), strict=False):
+        for at, number in zip(positions, count(first) if first else repeat(0), strict=False):
             value, quality, reason = classification(values[at])
             if quality != "good":
                 self._reasons[at] = reason
@@ -340,13 +340,13 @@ class FleetLine(SharedLine[Poller]):
             self._senders[timeout] = Sender(self.client.for_unit(1, timeout=timeout))
         return self._senders[timeout]
 
-    def due(self, poller: Poller, planned: float) -> None:
+    def due(self, poller: Poller, due_at: float) -> None:
         """Poll a device, unless its last poll is still under way."""
         if poller.request is not None:
             self._statistics.skipped += 1
             return
         poller.is_urgent, poller.is_trial = False, poller.state is DeviceState.DOWN
-        poller.begin(planned, self.client.statistics.connects)
+        poller.begin(due_at, self.client.statistics.connects)
         self.ask(poller, self._loop.time())
 
     async def poll_after(

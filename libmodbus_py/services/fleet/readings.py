@@ -129,9 +129,9 @@ class Changes:
         has_errors = any(issubclass(kind, Exception) for kind in set(map(type, values)))
         if not (has_errors or self._has_errors or self._is_filtering):
             return indexes
-        reported = [at for at in indexes if self._is_reported(at, values[at], now)]
+        positions = [at for at in indexes if self._is_reported(at, values[at], now)]
         self._has_errors = has_errors or any(self._reasons)
-        return reported
+        return positions
 
     def _is_reported(self, at: int, value: Any, now: float) -> bool:
         reason = reason_of(value) if isinstance(value, Exception) else ""

@@ -43,10 +43,10 @@ def overloads(devices: Iterable[DeviceConfig]) -> list[str]:
             for interval, characters in _characters(device).items()
         ]
         shortest = min(interval for interval, _ in loads)
-        needed = sum(seconds * shortest / interval for interval, seconds in loads)
-        if needed > shortest:
+        load = sum(seconds * shortest / interval for interval, seconds in loads)
+        if load > shortest:
             line = f"line {endpoint.url.partition('?')[0]} at {port.baudrate}"
-            sentences.append(f"{line}: {needed:.3g} s of requests each {shortest:g} s")
+            sentences.append(f"{line}: {load:.3g} s of requests each {shortest:g} s")
     return sentences
 
 

@@ -129,12 +129,12 @@ class Dispatcher:
         if len(session.open_requests) >= self._most_of_session:
             line.statistics.full += 1
             return self._refuse_more(session, pdu)
-        forwarded = ForwardedRequest(session, number, unit, device_unit, request, now, age)
-        session.open_requests[forwarded] = line
-        code = line.put(forwarded, merge=route.merge and request.is_read)
+        job = ForwardedRequest(session, number, unit, device_unit, request, now, age)
+        session.open_requests[job] = line
+        code = line.put(job, merge=route.merge and request.is_read)
         if not code:
             return None
-        session.open_requests.pop(forwarded, None)
+        session.open_requests.pop(job, None)
         if code == errors.ServerDeviceBusy.code:
             return self._refuse_more(session, pdu)
         return _exception(pdu, code)
@@ -250,15 +250,15 @@ class Broadcast:
             if line.put(part):
                 self.take_response(part, b"\x80")
 
-    def leave(self, forwarded: ForwardedRequest) -> None:
+    def leave(self, job: ForwardedRequest) -> None:
         """Take no response; and send no more, if the client waited for it to be sent."""
-        forwarded.requester = None
+        job.requester = None
         if self.session.has_ids:
             for part, line in self._parts.items():
                 line.leave(part)
             self.done_at = self._now()
 
-    def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
+    def take_response(self, job: ForwardedRequest, response: bytes | None) -> None:
         self._left -= 1
         self._has_failed = self._has_failed or (response is not None and response[0] >= 0x80)
         if self._left:
@@ -320,16 +320,16 @@ class ForwardingSession(FrameServer):
             changes = changes_of(request.pdu_request, caller)
             auditor.note(ExecutedRequest(caller, request.pdu, response, changes, is_change))
 
-    def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
-        self.open_requests.pop(forwarded, None)
-        request = forwarded.request
+    def take_response(self, job: ForwardedRequest, response: bytes | None) -> None:
+        self.open_requests.pop(job, None)
+        request = job.request
         if request.changes:
-            self.record(forwarded.from_unit, request, response or b"")
+            self.record(job.from_unit, request, response or b"")
         if response is None and self.has_ids and request.may_be_broadcast:
             assert request.pdu_request is not None
             response = request.pdu_request.encode_response(None)
         if response is not None:
-            answer = Frame(forwarded.from_unit, response, forwarded.number)
+            answer = Frame(job.from_unit, response, job.number)
             self._send(answer, self.framer.encode(answer))
         if not self.open_requests and self._settings.endpoint.is_datagram:
             self.channel.follow()
@@ -345,8 +345,8 @@ class ForwardingSession(FrameServer):
         self._withdraw(list(self.open_requests))
 
     def _withdraw(self, given_up: list[ForwardedRequest]) -> None:
-        for forwarded in given_up:
-            place = self.open_requests.pop(forwarded)
-            if forwarded.request.changes:
-                self.record(forwarded.from_unit, forwarded.request, b"")
-            place.leave(forwarded)
+        for job in given_up:
+            place = self.open_requests.pop(job)
+            if job.request.changes:
+                self.record(job.from_unit, job.request, b"")
+            place.leave(job)

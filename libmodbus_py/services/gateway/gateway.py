@@ -108,13 +108,13 @@ class Gateway(Serving):
             TypeError, ValueError: as for `Gateway`, or a new line leads to no serial port or to
                 an endpoint of the gateway itself. The routes do not change then.
         """
-        checked = _checked(routes)
+        new_routes = _checked(routes)
         before = {route.endpoint.url for route in self._routes}
         if self._loop is not None:
-            for at, route in enumerate(checked):
+            for at, route in enumerate(new_routes):
                 if route.endpoint.url not in before:
                     check_line(("routes", at, "url"), route.endpoint, self._listening)
-        self._routes = checked
+        self._routes = new_routes
         if self._loop is not None:
             self._loop.call_soon_threadsafe(self._change_lines)
 

@@ -115,7 +115,7 @@ class Requester(Hashable, Protocol):
     @property
     def host(self) -> Hashable: ...
 
-    def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None: ...
+    def take_response(self, job: ForwardedRequest, response: bytes | None) -> None: ...
 
 
 class ForwardedRequest(LineRequest):
@@ -150,7 +150,7 @@ class ForwardedRequest(LineRequest):
     @property
     def is_wanted(self) -> bool:
         """True if a client waits for the response."""
-        return any(forwarded.requester is not None for forwarded in (self, *self.others))
+        return any(job.requester is not None for job in (self, *self.others))
 
     @property
     def is_sent(self) -> bool:
@@ -161,13 +161,13 @@ class ForwardedRequest(LineRequest):
     def answer(self, response: bytes | None) -> int:
         """Pass the response to all that wait for it; return how many do not wait any more."""
         departures = 0
-        for forwarded in (self, *self.others):
-            requester, forwarded.requester = forwarded.requester, None
-            forwarded.first = None  # breaks a reference cycle
+        for job in (self, *self.others):
+            requester, job.requester = job.requester, None
+            job.first = None  # breaks a reference cycle
             if requester is None:
                 departures += 1
             else:
-                requester.take_response(forwarded, response)
+                requester.take_response(job, response)
         return departures
 
 
@@ -235,10 +235,10 @@ class GatewayLine(SharedLine[ForwardedRequest]):
             self.statistics.unit(unit).cached += 1
         return answer
 
-    def put(self, forwarded: ForwardedRequest, *, merge: bool = False) -> int:
+    def put(self, job: ForwardedRequest, *, merge: bool = False) -> int:
         """Enqueue a request; return 0, or the code of the exception that answers it at once."""
-        unit, request, now = forwarded.unit, forwarded.request, forwarded.waits_since
-        if self.is_closed or (self._is_broadcast(forwarded) and not request.may_be_broadcast):
+        unit, request, now = job.unit, job.request, job.waits_since
+        if self.is_closed or (self._is_broadcast(job) and not request.may_be_broadcast):
             return NO_ANSWER
         state = self._silent.state(unit, request.function, now)
         if state is UnitState.PAUSED:
@@ -247,34 +247,32 @@ class GatewayLine(SharedLine[ForwardedRequest]):
         if not request.is_read:
             self._note_write(unit, now)
         if state is UnitState.DUE:
-            forwarded.is_trial = True
-            forwarded.misses = self._silent.start_trial(unit, request.function)
-        elif merge and self._join(forwarded):
+            job.is_trial = True
+            job.misses = self._silent.start_trial(unit, request.function)
+        elif merge and self._join(job):
             return 0
-        forwarded.is_urgent = self._writes_first and not (request.is_read or forwarded.is_trial)
-        is_queued = self.ask(forwarded, now)
+        job.is_urgent = self._writes_first and not (request.is_read or job.is_trial)
+        is_queued = self.ask(job, now)
         if not is_queued:
-            self._forget_joinable(forwarded)
+            self._forget_joinable(job)
             self.statistics.full += 1
         self._count()
         return 0 if is_queued else BUSY
 
-    def leave(self, forwarded: ForwardedRequest) -> None:
+    def leave(self, job: ForwardedRequest) -> None:
         """Do not send the request of a client that is gone, unless others wait for it."""
-        forwarded.requester = None
-        forwarded = forwarded.first or forwarded
-        if not forwarded.is_wanted and self.drop(forwarded):
-            self._forget_joinable(forwarded)
+        job.requester = None
+        job = job.first or job
+        if not job.is_wanted and self.drop(job):
+            self._forget_joinable(job)
             self._count()
-            if forwarded.is_trial:
-                self._silent.cancel_trial(
-                    forwarded.unit, forwarded.request.function, self._loop.time()
-                )
+            if job.is_trial:
+                self._silent.cancel_trial(job.unit, job.request.function, self._loop.time())
 
     async def close(self) -> None:
         """Close the connection for good, and refuse all requests that wait."""
-        for forwarded in self.stop():
-            self._refuse(forwarded, NO_ANSWER)
+        for job in self.stop():
+            self._refuse(job, NO_ANSWER)
         await super().close()
 
     def go_on(self, now: float | None = None) -> None:
@@ -284,24 +282,24 @@ class GatewayLine(SharedLine[ForwardedRequest]):
     def _count(self) -> None:
         self.statistics.waiting, self.statistics.in_flight = self.waiting, len(self.in_flight)
 
-    def _is_broadcast(self, forwarded: ForwardedRequest) -> bool:
-        return forwarded.unit == 0 and self._has_broadcast
+    def _is_broadcast(self, job: ForwardedRequest) -> bool:
+        return job.unit == 0 and self._has_broadcast
 
-    def _join(self, forwarded: ForwardedRequest) -> bool:
+    def _join(self, job: ForwardedRequest) -> bool:
         """Join an equal read that waits, if there is one; else later ones may join this one."""
-        first = self._joinable.setdefault((forwarded.unit, forwarded.request.pdu), forwarded)
-        if first is forwarded:
+        first = self._joinable.setdefault((job.unit, job.request.pdu), job)
+        if first is job:
             return False
-        first.others.append(forwarded)
-        forwarded.first = first
-        first.waits_since = forwarded.waits_since  # it must not be refused before the last is
-        self.statistics.unit(forwarded.unit).merged += 1
+        first.others.append(job)
+        job.first = first
+        first.waits_since = job.waits_since  # it must not be refused before the last is
+        self.statistics.unit(job.unit).merged += 1
         return True
 
-    def _forget_joinable(self, forwarded: ForwardedRequest) -> None:
+    def _forget_joinable(self, job: ForwardedRequest) -> None:
         """Let no later read join a request that does not wait any more."""
-        if self._joinable.get((forwarded.unit, forwarded.request.pdu)) is forwarded:
-            del self._joinable[forwarded.unit, forwarded.request.pdu]
+        if self._joinable.get((job.unit, job.request.pdu)) is job:
+            del self._joinable[job.unit, job.request.pdu]
 
     def _note_write(self, unit: int, now: float) -> None:
         """Forget what was read before a write, and have no later read join an earlier one."""
@@ -349,28 +347,28 @@ class GatewayLine(SharedLine[ForwardedRequest]):
         self.statistics.full += 1
         self._refuse(job, BUSY)
 
-    def _note_answer(self, forwarded: ForwardedRequest, now: float) -> None:
-        unit = forwarded.counters
+    def _note_answer(self, job: ForwardedRequest, now: float) -> None:
+        unit = job.counters
         unit.answers += 1
-        unit.seconds += now - forwarded.asked_at
-        if self._silent.note_answer(forwarded.unit, forwarded.request.function):
-            what = "" if unit.is_silent else f" function {forwarded.request.function}"
+        unit.seconds += now - job.asked_at
+        if self._silent.note_answer(job.unit, job.request.function):
+            what = "" if unit.is_silent else f" function {job.request.function}"
             unit.is_silent = False
-            logger.info("%s: unit %d answers%s again", self.url, forwarded.unit, what)
+            logger.info("%s: unit %d answers%s again", self.url, job.unit, what)
 
-    def _count_failure(self, forwarded: ForwardedRequest, error: BaseException, now: float) -> bool:
+    def _count_failure(self, job: ForwardedRequest, error: BaseException, now: float) -> bool:
         """Count a failure; return True if the unit was silent for most of its timeout."""
         if isinstance(error, errors.ModbusTimeoutError):
-            forwarded.counters.timeouts += 1
+            job.counters.timeouts += 1
             # The connection may have taken the first part of it.
-            return now - max(forwarded.asked_at, self._open_since) >= self.client.timeout / 2
+            return now - max(job.asked_at, self._open_since) >= self.client.timeout / 2
         if isinstance(error, errors.FrameError | errors.InvalidResponse):
-            forwarded.counters.invalid += 1
-            self._log.warning("%s: unit %d: %s", self.url, forwarded.unit, error.args[0])
+            job.counters.invalid += 1
+            self._log.warning("%s: unit %d: %s", self.url, job.unit, error.args[0])
         elif isinstance(error, errors.ModbusConnectionError):
-            forwarded.counters.lost += 1
+            job.counters.lost += 1
         else:
-            logger.error("%s: %s failed", self.url, forwarded.request, exc_info=error)
+            logger.error("%s: %s failed", self.url, job.request, exc_info=error)
         return False
 
     def _note_silence(self, silent: ForwardedRequest, now: float, reason: str = "") -> None:
@@ -384,21 +382,19 @@ class GatewayLine(SharedLine[ForwardedRequest]):
             what = "" if is_whole else f" function {function}"
             logger.info("%s: unit %d does not answer%s%s", self.url, unit, what, reason)
         self.statistics.unit(unit).is_silent = is_whole
-        for forwarded in [*self.others(), *self.in_flight]:
-            is_same = forwarded.unit == unit and (
-                is_whole or forwarded.request.function == function
-            )
-            if is_same and not (forwarded.is_trial or forwarded.is_sent):
-                self.withdraw(forwarded)
+        for job in [*self.others(), *self.in_flight]:
+            is_same = job.unit == unit and (is_whole or job.request.function == function)
+            if is_same and not (job.is_trial or job.is_sent):
+                self.withdraw(job)
                 self.statistics.unit(unit).refused += 1
-                self._refuse(forwarded, NO_ANSWER)
+                self._refuse(job, NO_ANSWER)
 
-    def _refuse(self, forwarded: ForwardedRequest, code: int) -> None:
-        self._forget_joinable(forwarded)
-        self._answer(forwarded, bytes([forwarded.request.function | 0x80, code]))
+    def _refuse(self, job: ForwardedRequest, code: int) -> None:
+        self._forget_joinable(job)
+        self._answer(job, bytes([job.request.function | 0x80, code]))
 
-    def _answer(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
-        self.statistics.unwanted += forwarded.answer(response)
+    def _answer(self, job: ForwardedRequest, response: bytes | None) -> None:
+        self.statistics.unwanted += job.answer(response)
 
     # --- the connection -----------------------------------------------------------------------
 

@@ -139,8 +139,8 @@ def parse_route(text: str, units: Iterable[int] | None = None) -> Route:
     before, equals, url = text.partition("=")
     if not equals or "://" in before or "?" in before:
         return Route(text, units)
-    typed, colon, device_units = before.partition(":")
-    return Route(url, typed, device_units if colon else None)
+    unit_text, colon, device_units = before.partition(":")
+    return Route(url, unit_text, device_units if colon else None)
 
 
 def check_routes(routes: Iterable[Route], name: str = "routes") -> None:
@@ -148,7 +148,7 @@ def check_routes(routes: Iterable[Route], name: str = "routes") -> None:
     Refuse two routes for one unit, and two to the same host and port or serial port with different
     options; `name` is that of the list.
     """
-    served: set[int] = set()
+    units: set[int] = set()
     places: dict[tuple[str, str], tuple[int, str]] = {}
     for at, route in enumerate(routes):
         if not isinstance(route, Route):
@@ -159,10 +159,10 @@ def check_routes(routes: Iterable[Route], name: str = "routes") -> None:
             reason = f"{name}[{first}] has other options for the same connection: {url}"
             raise WrongValue.about((name, at, "url"), reason)
         for unit in route.ways:
-            if unit in served:
+            if unit in units:
                 reason = f"an earlier route has unit {unit} already"
                 raise WrongValue.about((name, at, "units"), reason)
-            served.add(unit)
+            units.add(unit)
 
 
 def check_line(name: Path, line: Endpoint, listening: Iterable[Endpoint]) -> None:

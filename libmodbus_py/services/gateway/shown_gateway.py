@@ -68,10 +68,10 @@ class ShownGateway:
         self._history = RowHistory(lambda: ((row.name, row.counts) for row in self._behind()))
         self._clients = Clients()
 
-    def note(self, traced: TracedFrame) -> None:
+    def note(self, frame: TracedFrame) -> None:
         """Take what a trace is called with; quickly, because the gateway waits."""
-        self._log.note(traced)
-        self._clients.note(traced)
+        self._log.note(frame)
+        self._clients.note(frame)
         self._history.sample()  # whether a page is open or not
 
     def status(self) -> tuple[str, bool]:
@@ -132,10 +132,10 @@ def _line_row(name: Name, line: LineStatistics, spark: Spark) -> GatewayRow:
         word = "down" if line.trouble else "open" if line.connection.connects else "new"
         reason = problem_text(line.trouble) if line.trouble else ""
         state = {"word": word, "reason": reason, "since": round(line.since, 1)}
-        counted = {"requests": line.connection.requests, "answers": line.connection.responses}
+        totals = {"requests": line.connection.requests, "answers": line.connection.responses}
         details = _listed(waiting=line.waiting, in_flight=line.in_flight, refused=line.full)
         sparks = {key: spark(name, key) for key in ("rate", "queue")}
-        return {"state": state, **counted, **sparks, "details": details}
+        return {"state": state, **totals, **sparks, "details": details}
 
     counts = Counts(line.connection.requests, waiting=line.waiting)
     return GatewayRow(name, line.is_down, counts, cells)
@@ -155,10 +155,10 @@ def _unit_row(name: Name, unit: UnitStatistics, spark: Spark) -> GatewayRow:
             refused=unit.refused,
             cached=unit.cached,
         )
-        counted = {"requests": unit.requests, "answers": unit.answers}
+        totals = {"requests": unit.requests, "answers": unit.answers}
         details = ", ".join(filter(None, [mean, numbers]))
         sparks = {key: spark(name, key) for key in ("rate", "time")}
-        return {"state": {"word": word, "reason": reason}, **counted, **sparks, "details": details}
+        return {"state": {"word": word, "reason": reason}, **totals, **sparks, "details": details}
 
     counts = Counts(unit.requests, unit.answers, unit.seconds)
     return GatewayRow(name, unit.is_silent or _has_only_failed(unit), counts, cells)
@@ -177,18 +177,18 @@ class Clients:
         # Host, unit and function -> requests, exceptions, and the time of the last request.
         self._client_counts: dict[tuple[str, int, int], tuple[int, int, float]] = {}
 
-    def note(self, traced: TracedFrame) -> None:
+    def note(self, frame: TracedFrame) -> None:
         """Count a request or a response."""
-        if traced.unit is None or traced.function is None:
+        if frame.unit is None or frame.function is None:
             return
-        key = host_of_peer(traced.peer or ""), traced.unit, traced.function & 0x7F
+        key = host_of_peer(frame.peer or ""), frame.unit, frame.function & 0x7F
         entry = self._client_counts.get(key)
-        if traced.direction == "received":
+        if frame.direction == "received":
             if entry is None and len(self._client_counts) >= MOST_ASKING:
                 self._client_counts.pop(next(iter(self._client_counts)), None)
             requests, exceptions, _ = entry or (0, 0, 0.0)
-            self._client_counts[key] = requests + 1, exceptions, traced.time
-        elif entry is not None and traced.function & 0x80:
+            self._client_counts[key] = requests + 1, exceptions, frame.time
+        elif entry is not None and frame.function & 0x80:
             requests, exceptions, time = entry
             self._client_counts[key] = requests, exceptions + 1, time
 

@@ -79,22 +79,20 @@ class Collector(_Collector):
         Raises:
             TypeError: an object has another class.
         """
-        watched: list[_Watched] = []
+        entries: list[_Watched] = []
         fleets: list[_WatchedFleet] = []
-        for counted in objects:
-            for statistics in filter(
-                None, (_statistics(counted), getattr(counted, "traffic", None))
-            ):
+        for source in objects:
+            for statistics in filter(None, (_statistics(source), getattr(source, "traffic", None))):
                 _, label = READERS[type(statistics)]
                 labels: Labels = ((label, name),) if label and name else ()
                 if isinstance(statistics, Statistics):
                     # Without settings, such as those of a serial port.
-                    labels = (("endpoint", counted.url.partition("?")[0]),)  # type: ignore[attr-defined]
-                watched.append(_Watched(statistics, labels))
-                if isinstance(counted, Fleet):
-                    fleets.append(_WatchedFleet(weakref.ref(counted), labels))
+                    labels = (("endpoint", source.url.partition("?")[0]),)  # type: ignore[attr-defined]
+                entries.append(_Watched(statistics, labels))
+                if isinstance(source, Fleet):
+                    fleets.append(_WatchedFleet(weakref.ref(source), labels))
         with self._lock:
-            for one in watched:
+            for one in entries:
                 if all(other.statistics() is not one.statistics() for other in self._watched):
                     self._watched.append(one)
             for fleet in fleets:
@@ -130,25 +128,25 @@ class Collector(_Collector):
             yield metric
 
     def _values(self) -> dict[Sample, float]:
-        for each in self._watched:
-            if (statistics := each.statistics()) is not None:
+        for source in self._watched:
+            if (statistics := source.statistics()) is not None:
                 read, _ = READERS[type(statistics)]
-                each.values = dict(read(statistics, each.labels))
+                source.values = dict(read(statistics, source.labels))
         self._forget_gone()
         values: dict[Sample, float] = {}
-        for some in [*self._past.values(), *(each.values for each in self._watched)]:
+        for some in [*self._past.values(), *(source.values for source in self._watched)]:
             _add(values, some)
         return values
 
     def _forget_gone(self) -> None:
         """Keep the counts of deleted objects as long as others have their labels."""
-        gone = [each for each in self._watched if each.statistics() is None]
-        self._watched = [each for each in self._watched if each not in gone]
-        self._fleets = [each for each in self._fleets if each.fleet() is not None]
-        present = {each.labels for each in self._watched}
-        for each in gone:
-            staying = {key: at for key, at in each.values.items() if key.family.type != "gauge"}
-            _add(self._past.setdefault(each.labels, {}), staying)
+        deleted_sources = [source for source in self._watched if source.statistics() is None]
+        self._watched = [source for source in self._watched if source not in deleted_sources]
+        self._fleets = [fleet for fleet in self._fleets if fleet.fleet() is not None]
+        present = {source.labels for source in self._watched}
+        for source in deleted_sources:
+            staying = {key: at for key, at in source.values.items() if key.family.type != "gauge"}
+            _add(self._past.setdefault(source.labels, {}), staying)
         self._past = {labels: past for labels, past in self._past.items() if labels in present}
 
 
@@ -169,18 +167,18 @@ def _metric(family: Family) -> Metric:
     return Metric(family.name, family.text, family.type)
 
 
-def _statistics(counted: object) -> Any:
-    statistics = getattr(counted, "statistics", None)
+def _statistics(source: object) -> Any:
+    statistics = getattr(source, "statistics", None)
     if type(statistics) not in READERS:
-        kind = type(counted).__name__
+        kind = type(source).__name__
         raise TypeError(f"objects must be clients, servers, gateways or fleets, not {kind}")
     return statistics
 
 
 def _add(values: dict[Sample, float], more: dict[Sample, float]) -> None:
     for sample, value in more.items():
-        known = values.get(sample)
-        values[sample] = value if known is None else sample.family.together(known, value)
+        sum_so_far = values.get(sample)
+        values[sample] = value if sum_so_far is None else sample.family.together(sum_so_far, value)
 
 
 _collectors: weakref.WeakKeyDictionary[CollectorRegistry, Collector] = weakref.WeakKeyDictionary()

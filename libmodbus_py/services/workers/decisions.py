@@ -127,10 +127,10 @@ class _Deciding:
             self.move_slots()
             self.forget_ended()
         active = {} if worker.is_leaving else self.polled()
-        unserved = self.unserved() if worker.is_first(self.now) else []
+        slots = self.unserved() if worker.is_first(self.now) else []
         # Last, because it acknowledges all changes up to the revision of the view.
         self.renew_lease(report)
-        return Decision(active, self.puts, self.due, self.must_read_again(), unserved)
+        return Decision(active, self.puts, self.due, self.must_read_again(), slots)
 
     def put_key(self, key: str, value: bytes | None) -> None:
         """Write a key, unless the same was written recently and the key has not changed."""
@@ -227,14 +227,14 @@ class _Deciding:
         }
         new = mine.keys() - self.worker.active.keys()
         # The highest revision that all workers with a lease have acknowledged.
-        acknowledged = min((member.seen for member in self.others), default=math.inf)
-        vanished = self.view.vanished.values() if new else ()
-        if not all(self.has_passed(at + self.longest_wait) for at in vanished):
-            acknowledged = 0
+        last_seen = min((member.seen for member in self.others), default=math.inf)
+        gone_members = self.view.vanished.values() if new else ()
+        if not all(self.has_passed(at + self.longest_wait) for at in gone_members):
+            last_seen = 0
         return {
             key: connection
             for key, connection in mine.items()
-            if key not in new or self.view.touched_at(connection) <= acknowledged
+            if key not in new or self.view.touched_at(connection) <= last_seen
         }
 
     def unserved(self) -> list[Connection]:

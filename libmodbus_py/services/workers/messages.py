@@ -77,14 +77,14 @@ class Stream(Output):
         try:
             with engine_errors(STREAM):
                 async with asyncio.timeout(TIMEOUT):
-                    acknowledged = [
+                    acknowledgements = [
                         # Because of its id, the server drops a message that is sent again.
                         await self._js.publish_async(
                             subject, data, headers={"Nats-Msg-Id": f"{subject} {mark}"}
                         )
                         for subject, mark, data in messages
                     ]
-                    await asyncio.gather(*acknowledged)
+                    await asyncio.gather(*acknowledgements)
         except EngineError as error:
             raise ConnectionError(str(error)) from None
 

@@ -334,8 +334,8 @@ class BucketView:
 
     def touched_at(self, connection: Connection) -> int:
         """Return the revision that other workers must acknowledge before a connection is polled."""
-        touched = self._touched.get(digest_of(connection.key), 0)
-        return max(touched, self.uncertain.get(connection.slot.key, 0))
+        revision = self._touched.get(digest_of(connection.key), 0)
+        return max(revision, self.uncertain.get(connection.slot.key, 0))
 
     def holder(self, slot: Slot) -> Member | None:
         """Return the holder of a slot; None if the holder is not a known worker."""
@@ -378,8 +378,8 @@ class BucketView:
             self.vanished.pop(record.id, None)
         elif isinstance(record, Holding):
             self.holders[record.slot] = record.holder
-            had = self.members.get(before)
-            if (before and record.by == before) or (had is not None and had.state == "ended"):
+            former = self.members.get(before)
+            if (before and record.by == before) or (former is not None and former.state == "ended"):
                 self.uncertain.pop(key, None)
             else:
                 self.uncertain[key] = revision

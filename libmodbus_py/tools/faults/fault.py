@@ -142,11 +142,11 @@ class Fault:
 
     def __post_init__(self) -> None:
         schema.one_of(*KINDS)(("kind",), self.kind)
-        needed = KINDS[self.kind]
-        keys = WHICH.keys() | {needed, *OPTIONAL.get(self.kind, ())}
+        required = KINDS[self.kind]
+        keys = WHICH.keys() | {required, *OPTIONAL.get(self.kind, ())}
         for name, check in (SETTINGS | WHICH).items():
             if (value := getattr(self, name)) is None:
-                if name == needed:
+                if name == required:
                     raise WrongValue(name, f"is missing, which {self.kind} needs")
             elif name not in keys:
                 raise WrongValue(name, f"does not apply to {self.kind}")
@@ -171,13 +171,13 @@ class Fault:
         """True if the fault happens to requests of all addresses."""
         return self.table is None and self.address is None
 
-    def hits(self, touched: Accesses) -> bool:
+    def hits(self, accesses: Accesses) -> bool:
         """Return True if the fault happens to a request with these accesses."""
         first = 0 if self.address is None else self.address
         stop = TABLE_SIZE if self.address is None else first + (self.count or 1)
         return any(
             access.table == self.table or (self.table is None and access.table in TABLES)
-            for access in (*touched.writes, *touched.reads)
+            for access in (*accesses.writes, *accesses.reads)
             if access.address < stop and first < access.address + access.count
         )
 
@@ -205,13 +205,13 @@ class Fault:
             answer = answer._replace(unit=answer.unit % 247 + 1)  # one that a serial line can have
         adu = framer.encode(answer)
         parts = _parts(self, adu, framer)
-        traced = tuple((part, answer if part == adu else None) for part in parts if part)
+        fragments_of_adu = tuple((part, answer if part == adu else None) for part in parts if part)
         data = b"".join(parts)
         wait = self.seconds or 0
         if kind != "trickle":
-            return [Fragment(wait, data, kind == "disconnect", traced)]
+            return [Fragment(wait, data, kind == "disconnect", fragments_of_adu)]
         fragments = [Fragment(wait if at else 0, data[at : at + 1]) for at in range(len(data))]
-        return [*fragments[:-1], fragments[-1]._replace(traced=traced)]
+        return [*fragments[:-1], fragments[-1]._replace(traced=fragments_of_adu)]
 
 
 class Counter:

@@ -111,11 +111,11 @@ class MapDecoder:
                     self._last_values[unit, cells.table, address] = value
             for address, _ in pairs:
                 for point in self._points_at_end.get((cells.table, address), ()):
-                    judged = self._judged(unit, point)
-                    if judged is None or not (cells.is_written or point.is_readable):
+                    judgement = self._judged(unit, point)
+                    if judgement is None or not (cells.is_written or point.is_readable):
                         continue
-                    whose = transaction.time, unit, point.name, judged.value, point.units
-                    values.append(NamedValue(*whose, cells.is_written, *judged[1:]))
+                    whose = transaction.time, unit, point.name, judgement.value, point.units
+                    values.append(NamedValue(*whose, cells.is_written, *judgement[1:]))
         return values
 
     def _masked(self, unit: int, request: object) -> Mapping | None:

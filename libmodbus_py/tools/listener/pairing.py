@@ -239,25 +239,25 @@ class TracePairing:
         self._timeout = timeout
         self._connections: dict[tuple[str, str | None], Pairing] = {}
 
-    def take(self, traced: TracedFrame, at: float | None = None) -> None:
+    def take(self, traced_frame: TracedFrame, at: float | None = None) -> None:
         """Take an ADU of the trace; `at` is the time on another clock than that of the trace."""
-        at = traced.time if at is None else at
-        pairing = self._pairing(traced)
+        at = traced_frame.time if at is None else at
+        pairing = self._pairing(traced_frame)
         pairing.tick(at)
-        unit, pdu = traced.unit, traced.pdu
-        frame = None if unit is None else Frame(unit, pdu, traced.transaction or 0)
-        if (traced.direction == "received") is not self._is_server:
+        unit, pdu = traced_frame.unit, traced_frame.pdu
+        frame = None if unit is None else Frame(unit, pdu, traced_frame.transaction or 0)
+        if (traced_frame.direction == "received") is not self._is_server:
             if frame is None:
-                pairing.damage(at, at, traced.adu)
+                pairing.damage(at, at, traced_frame.adu)
             else:
                 pairing.answer(at, at, frame)
         elif frame is None:
-            pairing.done.append(damage_transaction(at, traced.adu))
+            pairing.done.append(damage_transaction(at, traced_frame.adu))
         elif not 0 < pdu[0] < 0x80:  # application protocol, 4.1
             pairing.done.append(misuse_transaction(at, frame))
         else:
             pairing.ask(at, at, frame)
-        self._collect(traced.peer, pairing)
+        self._collect(traced_frame.peer, pairing)
 
     def tick(self, at: float) -> None:
         """End the requests that have been open for too long at this time."""
@@ -271,11 +271,11 @@ class TracePairing:
         """End all open requests, because nothing more will be received."""
         self.tick(math.inf)
 
-    def _pairing(self, traced: TracedFrame) -> Pairing:
-        key = traced.endpoint, traced.peer
+    def _pairing(self, frame: TracedFrame) -> Pairing:
+        key = frame.endpoint, frame.peer
         pairing = self._connections.pop(key, None)
         if pairing is None:
-            is_line = framing_of(traced.endpoint) in ("rtu", "ascii")
+            is_line = framing_of(frame.endpoint) in ("rtu", "ascii")
             pairing = Pairing(is_line=is_line, is_server=self._is_server, timeout=self._timeout)
         while len(self._connections) >= MOST_CONNECTIONS:
             oldest = next(iter(self._connections))

@@ -77,8 +77,8 @@ def _requests(path: str | os.PathLike[str]) -> Iterator[tuple[int, Request[Any],
     name = os.fspath(path)
     if not name.endswith(CAPTURES):
         raise WrongValue((), f"{name}: the name of a capture must end with .pcap or .pcapng")
-    with listen(name) as captured:
-        for transaction in captured:
+    with listen(name) as listener:
+        for transaction in listener:
             if transaction.kind in ("broadcast", "late"):
                 continue
             if transaction.unit is not None and transaction.request is not None:

@@ -338,8 +338,8 @@ class Separator:
 
     def _is_repeated(self, request: OpenRequest, candidate: Candidate) -> bool:
         """Return True if a frame that could be both arrived too late for a response."""
-        spoiled = request.spoiled
-        if spoiled is not None and candidate.began - spoiled.ended > GLUED:
+        is_spoiled = request.spoiled
+        if is_spoiled is not None and candidate.began - is_spoiled.ended > GLUED:
             return True  # the damaged bytes were the response
         return not self._is_soon(request, candidate.began)
 

@@ -91,10 +91,10 @@ def _segment(data: bytes) -> Segment | None:
 
 
 def _of_tcp(source: bytes, target: bytes, data: bytes) -> Segment:
-    source_port, target_port, number, acknowledged = struct.unpack_from(">HHII", data)
+    source_port, target_port, number, acknowledgement = struct.unpack_from(">HHII", data)
     start, flags = (data[12] >> 4) * 4, data[13]
     ends = (source, source_port), (target, target_port)
-    return Segment(*ends, number, acknowledged, flags, data[start:])
+    return Segment(*ends, number, acknowledgement, flags, data[start:])
 
 
 # --- from segments to transactions ------------------------------------------------------------

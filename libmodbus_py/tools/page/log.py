@@ -82,14 +82,14 @@ class Log:
         self._write_rows: dict[tuple[int | None, str, int, int], dict[str, Any]] = {}
         self._write_numbers = count(1)
 
-    def note(self, traced: TracedFrame) -> None:
+    def note(self, frame: TracedFrame) -> None:
         """Take an ADU of the trace; returns quickly, because the server waits."""
-        self._adus.append(traced)
-        if traced.function is None or traced.function & 0x7F not in WRITES:
+        self._adus.append(frame)
+        if frame.function is None or frame.function & 0x7F not in WRITES:
             return
-        self._writes.take(traced)
+        self._writes.take(frame)
         exchanges, self._writes.done = self._writes.done, []
-        is_line = framing_of(traced.endpoint) in ("rtu", "ascii")
+        is_line = framing_of(frame.endpoint) in ("rtu", "ascii")
         for peer, exchange in exchanges:
             if exchange.kind in DONE and exchange.request is not None and exchange.unit is not None:
                 server = self._server_of()

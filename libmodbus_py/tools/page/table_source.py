@@ -224,9 +224,9 @@ class Values:
     def describe(self, points: Iterable[ShownPoint]) -> None:
         """Take new points, each device's together, and keep the values of those that stay."""
         before, rows, after = self._values, list[PageRow](), dict[tuple[str, str], ValueRow]()
-        listed = list(points)
-        most, devices = samples_of_each(len(listed)), dict[str, GroupRow]()
-        for point in listed:
+        point_list = list(points)
+        most, devices = samples_of_each(len(point_list)), dict[str, GroupRow]()
+        for point in point_list:
             if point.device not in devices:
                 devices[point.device] = self._device_row(point.device)
                 rows.append(devices[point.device])

@@ -19,8 +19,8 @@ LONGEST = 12  # characters of a number that is shown to the last digit
 def cell_text(text: object) -> str:
     """Return a text for a cell: cut, and without characters that cannot be printed."""
     whole = text if isinstance(text, str) else str(text)
-    cut = whole[:MOST_TEXT]
-    plain = cut if cut.isprintable() else "".join(x if x.isprintable() else "?" for x in cut)
+    start = whole[:MOST_TEXT]
+    plain = start if start.isprintable() else "".join(x if x.isprintable() else "?" for x in start)
     return plain if len(whole) <= MOST_TEXT else f"{plain}..."
 
 

@@ -145,10 +145,10 @@ class ShownServer(NamedTuple):
 
 
 def shown_of(server: Server) -> ShownServer:
-    served = server.devices
-    devices = {None: served} if isinstance(served, Device) else dict(sorted(served.items()))
+    source = server.devices
+    devices = {None: source} if isinstance(source, Device) else dict(sorted(source.items()))
     units = {number: ShownUnit(number, device) for number, device in devices.items()}
-    return ShownServer(served, units)
+    return ShownServer(source, units)
 
 
 def point_rows(unit: ShownUnit, first: int, stop: int) -> dict[int, Any]:

@@ -221,7 +221,7 @@ class Prober:
     def probe(self, unit: int) -> Answer | ModbusError:
         """Send the probe to a unit; return its answer, or why there is none."""
         self._unit = unit
-        started = self.waker.now()
+        start = self.waker.now()
         self._silent.add(unit)
         code = None
         try:
@@ -233,7 +233,7 @@ class Prober:
                 return error
             code = error.code
         self._silent.discard(unit)
-        return Answer(self.waker.now() - started, code)
+        return Answer(self.waker.now() - start, code)
 
     def identification(self, unit: int) -> DeviceIdentification | None:
         """Read the regular identification (43/14), without a page that is wrong."""
@@ -286,9 +286,9 @@ class Prober:
         late, self._late = self._late, []
         return late
 
-    def _traced(self, traced: TracedFrame) -> None:
-        self.requests += traced.direction == "sent"
-        self._pairing.take(traced, self.waker.now())
+    def _traced(self, frame: TracedFrame) -> None:
+        self.requests += frame.direction == "sent"
+        self._pairing.take(frame, self.waker.now())
         pairs, self._pairing.done = self._pairing.done, []
         for _, transaction in pairs:
             is_answer = transaction.kind in ("answered", "exception", "late")

@@ -218,8 +218,8 @@ class _PlaceScan:
     def _answers_of_none(self, prober: Prober) -> set[int | None]:
         """Return the answer of units that cannot exist: a server that ignores the unit has one."""
         if self._impossible is None:
-            reserved = [unit for unit in RESERVED if unit not in self._units][:2]
-            answers = [prober.probe(unit) for unit in reserved]
+            units = [unit for unit in RESERVED if unit not in self._units][:2]
+            answers = [prober.probe(unit) for unit in units]
             codes = [answer.exception for answer in answers if isinstance(answer, Answer)]
             self._impossible = set(codes) if len(codes) == 2 and len(set(codes)) == 1 else set()
         return self._impossible

@@ -244,26 +244,26 @@ class _Tables:
         with self.prober.at(place):
             for index, table in enumerate(TABLES):
                 rest = self.most_requests - self.prober.requests
-                ended = self._table(table, rest // (len(TABLES) - index))
+                reason = self._table(table, rest // (len(TABLES) - index))
                 yield self.extents[-1]
-                if ended in (GONE, BUSY):
+                if reason in (GONE, BUSY):
                     return
 
     def _table(self, table: str, most: int) -> str:
         """Search a table with a limited number of requests; return why the search ended early."""
         cells = Cells(TABLES[table].most_read)
-        begun = self.prober.requests
-        ended = EARLY
+        first = self.prober.requests
+        reason = EARLY
         try:
-            ended = self._halve(table, cells, begun + most)
+            reason = self._halve(table, cells, first + most)
         finally:
-            requests = self.prober.requests - begun
-            unseen = 0 if ended == NO_FUNCTION else cells.unseen
+            requests = self.prober.requests - first
+            unseen = 0 if reason == NO_FUNCTION else cells.unseen
             ranges = cells.ranges
             values = [[cells.values[at] for at in bounds] for bounds in ranges]
-            extent = Extent(table, ranges, values, unseen, ended, cells.most, requests)
+            extent = Extent(table, ranges, values, unseen, reason, cells.most, requests)
             self.extents.append(extent)
-        return ended
+        return reason
 
     def _halve(self, table: str, cells: Cells, until: int) -> str:
         prober, steps = self.prober, halving(cells)

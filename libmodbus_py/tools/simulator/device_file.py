@@ -212,9 +212,9 @@ def mapped_simulation(
     Raises:
         DeviceFileError: the map cannot be read or contains a mistake, or a unit is wrong.
     """
-    described = [{"id": unit, "map": map} for unit in units] or [{"map": map}]
+    tables = [{"id": unit, "map": map} for unit in units] or [{"map": map}]
     try:
-        return _simulation({"unit": described}, Maps("", options), time.monotonic)
+        return _simulation({"unit": tables}, Maps("", options), time.monotonic)
     except (TypeError, ValueError) as error:
         mistake = placed(error, ())
         # There is no file whose keys the path could name.

@@ -53,8 +53,8 @@ def maps() -> dict[str, str]:
 def _folder() -> str:
     # The files are never in a zip, because the compiled modules of the package cannot be either.
     here = os.path.dirname(__file__)
-    built = os.path.join(here, "examples")
-    return built if os.path.isdir(built) else os.path.join(here, *[".."] * 3, "examples")
+    folder = os.path.join(here, "examples")
+    return folder if os.path.isdir(folder) else os.path.join(here, *[".."] * 3, "examples")
 
 
 def _first_line(name: str) -> str:

@@ -175,9 +175,9 @@ Number = int | float
 LARGEST = 1e100
 
 
-def _limits(simulated: SimulatedPoint, **numbers: Number) -> tuple[Number, Number]:
+def _limits(simulated_point: SimulatedPoint, **numbers: Number) -> tuple[Number, Number]:
     """Return the limits of a point's values; raise WrongValue for a named number outside."""
-    point = simulated.point
+    point = simulated_point.point
     low, high = point.limits
     if low is None or high is None:
         raise ValueError(f"only numbers can move by themselves, not {point.type_name}")

@@ -113,8 +113,8 @@ class SimulatedDevice(Device):
         # What scales others comes first.
         scales = sources_of(self.points.values(), self.points)
         order = {name: at for at, name in enumerate(scales)}
-        valued = [point for point in self._contents if point.value is not None]
-        for point in sorted(valued, key=lambda point: order.get(point.point.name, len(order))):
+        points = [point for point in self._contents if point.value is not None]
+        for point in sorted(points, key=lambda point: order.get(point.point.name, len(order))):
             try:
                 if point.file:
                     cells = tuple(point.point.encode(point.value))

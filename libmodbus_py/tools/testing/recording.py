@@ -96,8 +96,8 @@ class RecordingServer:
     def transactions(self) -> list[Transaction]:
         """The last 10 000 or so transactions, in the order in which they began."""
         pairing = TracePairing(timeout=math.inf)
-        for traced in self._traces.copy():
-            pairing.take(traced)
+        for frame in self._traces.copy():
+            pairing.take(frame)
         pairing.end()
         return sorted((row.transaction for row in pairing.done), key=attrgetter("time"))
 

@@ -199,12 +199,12 @@ class Journal:
         for poll in numbered(readings, self.next_id):
             self._recent.add(poll)
             numbers += poll.readings
-        dropped, self._recent.dropped = self._recent.dropped, 0
-        if dropped and not self.statistics.dropped:
+        count, self._recent.dropped = self._recent.dropped, 0
+        if count and not self.statistics.dropped:
             logger.error(
                 "%s: the disk is too slow, or takes no readings; the oldest are dropped", self.path
             )
-        self.statistics.dropped += dropped
+        self.statistics.dropped += count
         for place in self._places:
             place.wake(len(numbers))
         self._wake.set()
@@ -282,9 +282,11 @@ class Journal:
         self._batch = self._batch or self._recent.take_unwritten(MOST_AT_ONCE)
         noting, self._noting = self._noting, None
         places = {place.name: place.confirmed for place in self._places}
-        confirmed = min(places.values(), default=self.last)
+        confirmed_id = min(places.values(), default=self.last)
         try:
-            state = await self._thread.call(self._file.write_polls, self._batch, places, confirmed)
+            state = await self._thread.call(
+                self._file.write_polls, self._batch, places, confirmed_id
+            )
         finally:
             if noting is not None and not noting.done():
                 noting.set_result(None)  # outputs do not wait for a disk that takes nothing

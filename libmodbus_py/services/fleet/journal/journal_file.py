@@ -123,7 +123,7 @@ class JournalFile:
                     self.path, isolation_level=None, check_same_thread=False
                 )
                 self._prepare(self._database)
-                begun = self._begin(outputs, first)
+                state = self._begin(outputs, first)
         except JournalDamaged as error:
             self.close()
             if not was_used:
@@ -133,7 +133,7 @@ class JournalFile:
             self.close()
             raise
         self._identity = _identity_of(self.path)
-        return begun
+        return state
 
     def _take_lock(self) -> None:
         self._release_lock()  # its file may have been deleted, and another program have a new one
@@ -185,8 +185,8 @@ class JournalFile:
         database = self._used
         with self._transaction():
             [[read]] = database.execute("SELECT max(id + readings - 1) FROM poll")
-            [[confirmed]] = database.execute("SELECT max(confirmed) FROM place")
-            first = first or schema.first_id(time.time(), max(read or 0, confirmed or 0))
+            [[confirmed_id]] = database.execute("SELECT max(confirmed) FROM place")
+            first = first or schema.first_id(time.time(), max(read or 0, confirmed_id or 0))
             # A new output begins with the next reading.
             database.executemany(
                 "INSERT INTO place VALUES (?, ?) ON CONFLICT DO NOTHING",
@@ -212,7 +212,7 @@ class JournalFile:
         self._close_database()
         self._take_lock()
         names = (f"{self.path}-damaged", *(f"{self.path}-damaged-{at}" for at in range(2, 1000)))
-        moved = next(name for name in names if not os.path.exists(name))
+        new_name = next(name for name in names if not os.path.exists(name))
         # The changes of a database that is gone would spoil the one in its place.
         is_gone = self._identity not in (None, _identity_of(self.path))
         for ending in ("-wal", "-shm", ""):
@@ -220,12 +220,12 @@ class JournalFile:
                 if is_gone and ending:
                     os.unlink(f"{self.path}{ending}")
                 else:
-                    os.rename(f"{self.path}{ending}", f"{moved}{ending}")
-        if os.path.exists(moved):
-            logger.error("%s: is kept as %s", self.path, moved)
-        begun = self.open(outputs, first)
+                    os.rename(f"{self.path}{ending}", f"{new_name}{ending}")
+        if os.path.exists(new_name):
+            logger.error("%s: is kept as %s", self.path, new_name)
+        state = self.open(outputs, first)
         logger.error("%s; a new journal begins", error)
-        return begun
+        return state
 
     @property
     def _used(self) -> sqlite3.Connection:
@@ -250,7 +250,7 @@ class JournalFile:
     # --- writing ----------------------------------------------------------------------------
 
     def write_polls(
-        self, polls: Sequence[JournalPoll], places: Mapping[str, int], confirmed: int
+        self, polls: Sequence[JournalPoll], places: Mapping[str, int], confirmed_id: int
     ) -> JournalState:
         """
         Write polls, and by output the last id that it confirmed, in one transaction or not at all,
@@ -264,7 +264,7 @@ class JournalFile:
                 self._used.executemany(INSERT_POLL, rows)
                 self._used.executemany(SET_PLACE, places.items())
             self._to_delete = min(1e6, self._to_delete + DELETED_FOR_EACH * len(rows))
-            return self._delete(confirmed)
+            return self._delete(confirmed_id)
 
     def force(self) -> None:
         """Force what was written onto the disk, and merge it into the database if it is much."""
@@ -343,7 +343,7 @@ class JournalFile:
 
     # --- deleting ---------------------------------------------------------------------------
 
-    def _delete(self, confirmed: int) -> JournalState:
+    def _delete(self, confirmed_id: int) -> JournalState:
         """Delete the oldest polls, if there are too many or they are too old."""
         [[page], [pages], [free]] = (
             self._used.execute(f"PRAGMA {name}").fetchone()
@@ -354,7 +354,7 @@ class JournalFile:
             polls = self._oldest(MOST_DELETED if excess > self._size / 20 else MOST_DELETED // 10)
         else:
             horizon = time.time() - self._keep
-            oldest = self._oldest(int(min(MOST_DELETED, self._to_delete)), confirmed)
+            oldest = self._oldest(int(min(MOST_DELETED, self._to_delete)), confirmed_id)
             polls = list(takewhile(lambda poll: poll[2] < horizon, oldest))
         if polls:
             with self._transaction():

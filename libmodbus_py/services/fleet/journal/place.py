@@ -37,14 +37,14 @@ class JournalPlace(Buffer):
     falls; what was taken and not confirmed is taken again in the next run.
     """
 
-    def __init__(self, name: str, journal: _Journal, confirmed: int, waiting: int) -> None:
+    def __init__(self, name: str, journal: _Journal, confirmed_id: int, waiting: int) -> None:
         super().__init__()
         self.name: str = name
-        self.confirmed: int = confirmed
+        self.confirmed: int = confirmed_id
         self._journal = journal
         self._waiting = waiting
         # The id of the last reading that was fetched.
-        self._fetched = confirmed
+        self._fetched = confirmed_id
         self._was_full = False
 
     def __len__(self) -> int:

@@ -200,8 +200,8 @@ def _shown(answer: bytes, user: str | None, secret: str | None) -> str:
     if secret:
         basic = base64.b64encode(f"{user}:{secret}".encode()).decode()
         # A server may repeat them with other spaces: only what lies between these is compared.
-        for hidden in (basic, secret):
-            words = [re.escape(word) for word in hidden.split()]
+        for password in (basic, secret):
+            words = [re.escape(word) for word in password.split()]
             text = re.sub(r"\s+".join(words), "***", text) if words else text
     return " ".join(without_controls(text).split())[:LONGEST_SHOWN_CHARACTERS]
 
@@ -285,8 +285,8 @@ def _field(value: Any) -> str:
 
 def _text(text: str) -> str:
     """Return text as a field, in one line."""
-    escaped = without_controls(text).replace("\n", "\\x0a").replace("\\", "\\\\")
-    return '"' + escaped.replace('"', '\\"') + '"'
+    line = without_controls(text).replace("\n", "\\x0a").replace("\\", "\\\\")
+    return '"' + line.replace('"', '\\"') + '"'
 
 
 def _key(name: str) -> str:
@@ -295,5 +295,5 @@ def _key(name: str) -> str:
 
 def _spelled(name: str) -> str:
     # A backslash cannot be escaped, and would escape the character behind it.
-    escaped = without_controls(name).replace("\n", "%0A").replace("\\", "%5C")
-    return _KEY.sub(r"\\\1", escaped)
+    line = without_controls(name).replace("\n", "%0A").replace("\\", "%5C")
+    return _KEY.sub(r"\\\1", line)

@@ -378,9 +378,9 @@ class DeviceStates:
                 yield Message(former, OFFLINE)
             yield Message(topic, ONLINE if answers else OFFLINE)
 
-    def keep_states(self, published: dict[str, State], readings: Sequence[Reading]) -> None:
+    def keep_states(self, states: dict[str, State], readings: Sequence[Reading]) -> None:
         """Keep states that were published, and forget devices that are not polled any more."""
-        self.published |= published
+        self.published |= states
         for reading in readings:
             if reading.quality == "offline" and not self._answered.get(reading.device):
                 self._answered.pop(reading.device, None)

@@ -148,14 +148,14 @@ class OutputWriter:
             self._pauses.reset()
 
     async def _write_readings(self, batch: list[Reading]) -> None:
-        begun = asyncio.get_running_loop().time()
+        start_time = asyncio.get_running_loop().time()
         most, self._most = self._most, MOST_AT_ONCE
         try:
             await self._output.write_readings([*batch])  # which may change the list
         except BaseException as error:
             self._note_failure(batch, error)
             raise
-        is_quick = asyncio.get_running_loop().time() - begun < QUICK_S
+        is_quick = asyncio.get_running_loop().time() - start_time < QUICK_S
         if is_quick and len(batch) > most // 2:
             self._most = min(2 * most, self._most_ever)
         await self.buffer.confirm_readings(batch)

@@ -270,11 +270,11 @@ def url_of(params: Params) -> str:
         endpoint = Endpoint(schemes[framer], host=params.host, port=params.port)
         name, value = "host", params.host
     with contextlib.suppress(ValueError):
-        parsed = parse(endpoint.url)
+        parts = parse(endpoint.url)
         # URLs contain hosts in lower case, but for the interface of an address.
-        same = replace(endpoint, host=parsed.host)
-        if parsed == same and parsed.host.lower() == endpoint.host.lower():
-            return parsed.url
+        same = replace(endpoint, host=parts.host)
+        if parts == same and parts.host.lower() == endpoint.host.lower():
+            return parts.url
     raise ValueError(
         f"{name} {value!r} is invalid: in a URL, {endpoint.url!r}, it would name another endpoint"
     )
