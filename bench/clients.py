@@ -262,7 +262,7 @@ def measure(read: Read, blocks: list[Block], least: float) -> dict[str, float]:
         seconds += time.perf_counter() - start
         processor += time.process_time() - processor_start
         requests += len(blocks)
-        if [list(each) for each in values] != expected:
+        if [list(value) for value in values] != expected:
             raise ValueError("wrong values")
     return {"requests": requests, "seconds": seconds, "client_cpu": processor}
 

@@ -196,7 +196,7 @@ async def measure(
         statistics.take_worst()
         statistics.lateness[:] = [0] * len(statistics.lateness)
         polls, skipped, readings = statistics.polls, statistics.skipped, statistics.readings
-        written = [each.written for each in statistics.outputs.values()]
+        written = [output.written for output in statistics.outputs.values()]
         start, cpu = time.monotonic(), time.process_time()
         await wait(fleet, options.seconds, "measuring")
         seconds = time.monotonic() - start
@@ -206,11 +206,11 @@ async def measure(
             "polls": (statistics.polls - polls) / seconds,
             "points": (statistics.readings - readings) / seconds,
             "written": sum(
-                each.written - before
-                for each, before in zip(statistics.outputs.values(), written, strict=True)
+                output.written - before
+                for output, before in zip(statistics.outputs.values(), written, strict=True)
             )
             / seconds,
-            "waiting": sum(each.waiting for each in statistics.outputs.values()),
+            "waiting": sum(output.waiting for output in statistics.outputs.values()),
             "journal": statistics.journal.bytes if statistics.journal else 0,
             "skipped": statistics.skipped - skipped,
             "on_time": statistics.within(ON_TIME),
@@ -220,7 +220,7 @@ async def measure(
             "cpu": (time.process_time() - cpu) / seconds,
             "memory": (resident_memory("self") - before) / len(devices),
             "resident": resident_memory("self"),
-            "dropped": sum(each.dropped for each in statistics.outputs.values()),
+            "dropped": sum(output.dropped for output in statistics.outputs.values()),
         }
 
 

@@ -81,13 +81,13 @@ def rates(count: int = 10_000) -> None:
     with running("serve", "tcp://127.0.0.1:0") as server:
         with gateway(f"{server}?timeout=5") as url:
             told("tcp, one at a time", one_by_one(server, count), one_by_one(url, count))
-        for on_line, (clients, each) in itertools.product((1, 16), ((1, 16), (8, 16))):
+        for on_line, (clients, entry) in itertools.product((1, 16), ((1, 16), (8, 16))):
             with gateway(f"{server}?timeout=5&max_in_flight={on_line}") as url:
                 direct, through = (
-                    asyncio.run(in_flight(where, clients, each, 3 * count))
+                    asyncio.run(in_flight(where, clients, entry, 3 * count))
                     for where in (server, url)
                 )
-            told(f"tcp, {clients} x {each} in flight, {on_line} behind it", direct, through)
+            told(f"tcp, {clients} x {entry} in flight, {on_line} behind it", direct, through)
 
 
 def told(what: str, direct: float, through: float) -> None:

@@ -226,7 +226,7 @@ def measure(cases: list[Case]) -> dict[str, int | str]:
         compile_all(tools.programs)
         with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
             figures = list(pool.map(figure, cases))
-    return {case.name: each for case, each in zip(cases, figures, strict=True)}
+    return {case.name: figure for case, figure in zip(cases, figures, strict=True)}
 
 
 # --- the numbers in the tree --------------------------------------------------------------

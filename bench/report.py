@@ -312,5 +312,5 @@ def cell_as_json(results: Results, key: Key) -> dict[str, Any]:
         "client_us": results.client_cost(key),
         "server_us": results.server_cost(key),
         "p99_us": results.latency(key),
-        "rounds": [asdict(each) for each in results.measured.get(key, [])],
+        "rounds": [asdict(seconds) for seconds in results.measured.get(key, [])],
     }

@@ -32,7 +32,7 @@ class Results:
 
     def note(self, key: Key) -> str:
         """Say why the cell has no number to compare with others; empty if it has one."""
-        notes = [each.note for each in self.measured.get(key, []) if each.note]
+        notes = [seconds.note for seconds in self.measured.get(key, []) if seconds.note]
         return self.failed.get(key) or (notes[0] if notes else "")
 
     def rate(self, key: Key) -> float | None:
@@ -53,7 +53,7 @@ class Results:
 
     def _median(self, key: Key, value: Callable[[Measured], float | None]) -> float | None:
         values = [
-            found for each in self.measured.get(key, []) if (found := value(each)) is not None
+            found for seconds in self.measured.get(key, []) if (found := value(seconds)) is not None
         ]
         return median(values) if values else None
 

@@ -17,7 +17,7 @@ class ToDatabase(Output):
         self.database = sqlite3.connect("values.db", timeout=1)
 
     async def write_readings(self, readings):
-        rows = [(each.time, each.device, each.name, each.value) for each in readings]
+        rows = [(reading.time, reading.device, reading.name, reading.value) for reading in readings]
         try:
             with self.database:
                 self.database.execute(TABLE)

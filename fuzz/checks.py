@@ -133,13 +133,13 @@ def check_listening(framing: LineFraming, pieces: Sequence[tuple[float, bytes]])
         now += gap
         done += separator.feed(piece, now)
     done += separator.tick(now + 100) + separator.end()
-    for each in done:
-        assert str(each)
-    times = [each.ended for each in heard]
+    for entry in done:
+        assert str(entry)
+    times = [message.ended for message in heard]
     assert times == sorted(times)
     if framing == "rtu":
         encode = RtuFramer("server").encode
-        parts = [encode(each.frame) if each.frame else each.data for each in heard]
+        parts = [encode(message.frame) if message.frame else message.data for message in heard]
         assert b"".join(parts) == b"".join(piece for _, piece in pieces)
 
 
@@ -164,8 +164,8 @@ def _pieces(stream: bytes, sizes: Sequence[int]) -> list[bytes]:
 
 def _outline(found: Found) -> list[Frame | None]:
     """Frames, and None where there were errors."""
-    frames = [each if isinstance(each, Frame) else None for each in found]
-    return [each for key, run in groupby(frames) for each in ([None] if key is None else run)]
+    frames = [entry if isinstance(entry, Frame) else None for entry in found]
+    return [entry for key, run in groupby(frames) for entry in ([None] if key is None else run)]
 
 
 def check_device_file(text: str) -> None:
@@ -182,8 +182,8 @@ def check_device_file(text: str) -> None:
         for moment[0] in (0.0, 1.5, 1e9):
             for function in (1, 2, 3, 4):
                 table = getattr(device.mapping, TABLES[function])
-                for each in table.ranges[:20]:
-                    request = bytes([function]) + each.start.to_bytes(2, "big") + b"\0\1"
+                for range_ in table.ranges[:20]:
+                    request = bytes([function]) + range_.start.to_bytes(2, "big") + b"\0\1"
                     # No rule for it (1), what may only be written (2), copies of bits that
                     # are not values (4).
                     answer = device.answer(request)

@@ -151,7 +151,7 @@ class Covering:
             return cls()
         names = list(written["seconds"])
         tests = {
-            key: {line: [names[number] for number in each] for line, each in lines.items()}
+            key: {line: [names[number] for number in entry] for line, entry in lines.items()}
             for key, lines in written.pop("tests").items()
         }
         return cls(tests=tests, **written)
@@ -160,7 +160,7 @@ class Covering:
         """Write all to a file, with numbers in place of the names of tests, which are long."""
         number = {name: place for place, name in enumerate(self.seconds)}
         tests = {
-            key: {line: [number[test] for test in each] for line, each in lines.items()}
+            key: {line: [number[test] for test in entry] for line, entry in lines.items()}
             for key, lines in self.tests.items()
         }
         path.write_text(json.dumps({"format": FORMAT, **vars(self), "tests": tests}))
@@ -204,7 +204,7 @@ class Covering:
 
     def of_lines(self, path: Path, first: int, last: int) -> set[str]:
         """Return the tests that execute any of these lines, which stand in one function."""
-        holding = [each for each in functions(path) if each.first < first <= each.last]
+        holding = [item for item in functions(path) if item.first < first <= item.last]
         if not holding:
             return set()
         function = holding[-1]

@@ -324,13 +324,13 @@ class World:
         return True
 
     def note_failures(self) -> None:
-        for each in self.asked[-3:]:
-            outcome = each.call.outcome
-            if each.call in self.unjudged and isinstance(outcome, BaseException):
+        for entry in self.asked[-3:]:
+            outcome = entry.call.outcome
+            if entry.call in self.unjudged and isinstance(outcome, BaseException):
                 if not isinstance(outcome, ExceptionResponse | ModbusConnectionError):
-                    pair = each.call.unit, each.call.function
+                    pair = entry.call.unit, entry.call.function
                     self.doubted.setdefault(pair, self.now)
-                self.unjudged.discard(each.call)
+                self.unjudged.discard(entry.call)
 
     def note_heard(self, data: bytes) -> None:
         if not self.has_ids and len(data) > 1 and not crc16(data):
@@ -348,7 +348,7 @@ class World:
                 self.errors.add("endless")
                 return
         for call in calls:
-            self.judge(next(each for each in self.asked if each.call is call))
+            self.judge(next(request for request in self.asked if request.call is call))
 
     def has_open(self, calls: list[Call]) -> bool:
         return not all(call.is_done for call in calls)
@@ -477,8 +477,8 @@ def exception_for(world: World, steps: Steps, unusual: Steps) -> str | None:
     names = [name for move, act in unusual for name in (move, act)]
     # The answer to a write is its own echo.
     names += ["twice" for move, act in unusual if act == "echo" and "W" in move]
-    surplus = [each for each in names if each.startswith(_SURPLUS)]
-    missing = [each for each in names if each.startswith(_MISSING)]
+    surplus = [name for name in names if name.startswith(_SURPLUS)]
+    missing = [name for name in names if name.startswith(_MISSING)]
     if world.has_ids or not errors <= {"wrong", "stale", "told", "doubt"}:
         return None
     is_started = any(move.startswith("started") for move, _ in unusual)
@@ -511,7 +511,7 @@ def run(has_ids: bool, changes: bool, retries: int, steps: Steps) -> World:
     unusual = [act for move, act in steps if act != "good" or move not in ("A", "B")]
     is_lost_once = len(unusual) == 1 and unusual[0] in ("never", "lost", "damaged")
     is_lost_once &= not any(move == "closed" for move, _ in steps)
-    if retries and is_lost_once and any(each.has_failed for each in world.asked):
+    if retries and is_lost_once and any(request.has_failed for request in world.asked):
         world.errors.add("repeated")
     while world.now <= world.faulty_until:
         world.move("A", "good")
@@ -522,7 +522,7 @@ def run(has_ids: bool, changes: bool, retries: int, steps: Steps) -> World:
     first = len(world.asked)
     for number in range(4):
         world.move("AB"[number % 2], "good")
-    if any(each.has_failed for each in world.asked[first:]):
+    if any(request.has_failed for request in world.asked[first:]):
         found.add("spoiled")
     most = MOST_WRONG if len(unusual) == 1 else MOST_WRONG_EACH * len(unusual)
     is_lasting = world.errors or world.wrong_values > most
@@ -571,7 +571,7 @@ class Worlds:
         self._places = [
             places for count in range(faults + 1) for places in combinations(range(depth), count)
         ]
-        self._ends = list(accumulate(len(self._unusual) ** len(each) for each in self._places))
+        self._ends = list(accumulate(len(self._unusual) ** len(place) for place in self._places))
         self.count: int = self._ends[-1]
 
     def __getitem__(self, number: int) -> tuple[Steps, Steps]:
@@ -646,17 +646,17 @@ def main(arguments: list[str] | None = None) -> int:
                 pool.submit(explore, has_ids, options.depth, options.faults, (at, parts), stop)
                 for at in range(parts)
             ]
-            results = [each.result() for each in futures]
-        count, events = sum(each.worlds for each in results), sum(each.events for each in results)
-        taken = sum((each.exceptions for each in results), Counter[str]())
+            results = [future.result() for future in futures]
+        count, events = sum(item.worlds for item in results), sum(item.events for item in results)
+        taken = sum((result.exceptions for result in results), Counter[str]())
         print(
             f"{'with' if has_ids else 'without'} ids: {count} worlds of {options.depth} requests, "
             f"{events} events, {time.monotonic() - begun:.0f} s"
         )
         for name, number in taken.items():
             print(f"  {number} of the exception {name!r}")
-        for each in results:
-            for error, (number, example) in each.errors.items():
+        for result in results:
+            for error, (number, example) in result.errors.items():
                 print(f"  ERROR {error}: {number}, such as {example}")
                 status = 1
     return status

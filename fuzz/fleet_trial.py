@@ -91,7 +91,7 @@ class Trial:
             status = asyncio.run(self._status())
         except EngineGone:  # a leader was killed, and the next one is not elected yet
             return False
-        slots = [each["slots"] for each in status["workers"] if each["state"] == "here"]
+        slots = [worker["slots"] for worker in status["workers"] if worker["state"] == "here"]
         return len(slots) == len(NAMES) and max(slots) - min(slots) <= 2
 
     async def _status(self) -> dict[str, Any]:
@@ -191,7 +191,7 @@ def table(trial: Trial) -> str:
     ]
     for name, gaps in trial.gaps.items():
         took = trial.takeovers[name]
-        cells = [f"{each:.1f} s" for each in (median(took), max(took), median(gaps), max(gaps))]
+        cells = [f"{entry:.1f} s" for entry in (median(took), max(took), median(gaps), max(gaps))]
         lines.append(f"| {name} | {len(gaps)} | {' | '.join(cells)} | {trial.doubles[name]} |")
     return "\n".join(lines)
 

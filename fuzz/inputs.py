@@ -52,7 +52,7 @@ def some_framers() -> list[bytes]:
         for which, name in enumerate(FRAMERS)
         for example in examples(forms[name])
     ]
-    datagrams = [bytes([len(FRAMERS)]) + _with_sizes([each, each]) for each in examples("tcp")]
+    datagrams = [bytes([len(FRAMERS)]) + _with_sizes([item, item]) for item in examples("tcp")]
     return streams + datagrams
 
 

@@ -118,7 +118,7 @@ class Found:
 
     def __init__(self, journal: list[int], confirmed: int, arrived: list[int]) -> None:
         counts = Counter(arrived)
-        self.lost: int = len({each for each in journal if each <= confirmed} - {*counts})
+        self.lost: int = len({reading for reading in journal if reading <= confirmed} - {*counts})
         self.repeated: int = sum(counts.values()) - len(counts)
         self.ahead: int = len({*counts} - {*journal})
 

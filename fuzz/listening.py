@@ -223,12 +223,12 @@ class Pair(NamedTuple):
 
 
 def _pairs(done: list[Transaction]) -> list[Pair]:
-    asked = sorted((each for each in done if each.request), key=lambda each: each.time)
+    asked = sorted((exchange for exchange in done if exchange.request), key=lambda each: each.time)
     answered = ("answered", "exception")
     return [
-        Pair(each.unit or 0, each.request.encode(), each.kind in answered)
-        for each in asked
-        if each.request and each.kind != "late"
+        Pair(request.unit or 0, request.request.encode(), request.kind in answered)
+        for request in asked
+        if request.request and request.kind != "late"
     ]
 
 

@@ -420,7 +420,7 @@ def chosen(places: Sequence[str], sample: int, seed: int) -> list[Mutant]:
         if not path.exists():
             raise SystemExit(f"{path} does not exist")
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            found += [each for each in mutants(file) if not line or each.line == int(line)]
+            found += [mutant for mutant in mutants(file) if not line or mutant.line == int(line)]
     return random.Random(seed).sample(found, min(sample, len(found)))
 
 
@@ -460,9 +460,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _concluded(outcomes: list[Outcome], floor: float) -> int:
-    killed = sum(each.is_killed for each in outcomes)
+    killed = sum(outcome.is_killed for outcome in outcomes)
     share = 100 * killed / len(outcomes) if outcomes else 100.0
-    kinds = {kind: sum(each.kind == kind for each in outcomes) for kind in ("hung", "broken")}
+    kinds = {kind: sum(outcome.kind == kind for outcome in outcomes) for kind in ("hung", "broken")}
     print(
         f"{killed} of {len(outcomes)} mutants were killed, {share:.1f} %: "
         f"{kinds['hung']} of them hung, {kinds['broken']} could not be imported"
@@ -475,7 +475,7 @@ def _concluded(outcomes: list[Outcome], floor: float) -> int:
 
 def _progress(outcomes: list[Outcome], count: int) -> None:
     if sys.stderr.isatty():
-        left = sum(not each.is_killed for each in outcomes)
+        left = sum(not outcome.is_killed for outcome in outcomes)
         print(f"\r{len(outcomes)} of {count}, {left} survive ", end="", file=sys.stderr, flush=True)
 
 

@@ -144,7 +144,7 @@ def _compared(node: ast.Compare) -> Iterator[_Change]:
         return
     operator = type(node.ops[0])
     sides = (node.left, *node.comparators)
-    is_tuning = any(isinstance(each, ast.Name) and each.id in _TUNING for each in sides)
+    is_tuning = any(isinstance(side, ast.Name) and side.id in _TUNING for side in sides)
     for name, table in (("boundary", _BOUNDARIES), ("comparison", _OPPOSITES)):
         if is_tuning and name == "boundary":
             continue  # the same as a value that is larger by one
@@ -205,7 +205,7 @@ def _done(node: ast.Expr) -> Iterator[_Change]:
 def _assigned(node: ast.Assign | ast.AugAssign) -> Iterator[_Change]:
     """Lose a change of state; without a local name most programs end at once."""
     targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-    if isinstance(node, ast.AugAssign) or not any(isinstance(each, ast.Name) for each in targets):
+    if isinstance(node, ast.AugAssign) or not any(isinstance(item, ast.Name) for item in targets):
         yield "assignment removed", "pass"
 
 
@@ -282,14 +282,14 @@ def _defined(statement: ast.AST) -> frozenset[str]:
     elif isinstance(statement, ast.AnnAssign | ast.AugAssign):
         targets = [statement.target]
     return frozenset(
-        inner.id for each in targets for inner in ast.walk(each) if isinstance(inner, ast.Name)
+        inner.id for target in targets for inner in ast.walk(target) if isinstance(inner, ast.Name)
     )
 
 
 def _is_declared(node: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
     """Return True if a function is for type checkers only, such as an overload."""
     return all(
-        isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant) for each in node.body
+        isinstance(entry, ast.Expr) and isinstance(entry.value, ast.Constant) for entry in node.body
     )
 
 
@@ -300,7 +300,7 @@ def _children(node: ast.AST) -> Iterator[ast.AST]:
             if name not in _PRINTED and not _is_declared(node):
                 arguments = node.args
                 yield from arguments.defaults
-                yield from (each for each in arguments.kw_defaults if each is not None)
+                yield from (item for item in arguments.kw_defaults if item is not None)
                 yield from node.body
         case ast.ClassDef():
             yield from node.body

@@ -198,9 +198,9 @@ class Way:
         except (OSError, ExceptionGroup):
             pass
         finally:
-            for each in (writer, there):
-                if each is not None:
-                    each.close()
+            for peer in (writer, there):
+                if peer is not None:
+                    peer.close()
 
     async def _carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         loop = asyncio.get_running_loop()

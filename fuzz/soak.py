@@ -114,7 +114,7 @@ def main() -> int:
         # Before there are threads, which a fork does not bring along.
         processes = stack.enter_context(ProcessPoolExecutor(HOSTILES))
         warm = [processes.submit(time.sleep, 0.1) for _ in range(HOSTILES)]
-        assert all(each.result() is None for each in warm)
+        assert all(future.result() is None for future in warm)
         lines = {
             name: stack.enter_context(BadLine(framing, TIMEOUT, seed + number))
             for number, (name, (framing, _)) in enumerate(LINES.items())
@@ -145,7 +145,7 @@ def main() -> int:
     for name, tally in tallies.items():
         print(name, tally, "", sep="\n")
     for kind in hostile[0]:
-        print(f"{'hostile streams: ' + kind:42}{sum(each[kind] for each in hostile):>9}")
+        print(f"{'hostile streams: ' + kind:42}{sum(row[kind] for row in hostile):>9}")
     print(f"{'right reads of the innocent client':42}{innocent.reads:>9}")
     print(f"{'its failures and wrong values':42}{len(innocent.findings):>9}")
     print(*innocent.findings[:20], sep="\n")

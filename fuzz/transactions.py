@@ -111,7 +111,7 @@ class Tally:
 
     def __add__(self, other: Tally) -> Tally:
         return Tally(
-            *(getattr(self, each.name) + getattr(other, each.name) for each in fields(self))
+            *(getattr(self, field.name) + getattr(other, field.name) for field in fields(self))
         )
 
     def note(self, text: str) -> None:
@@ -343,7 +343,7 @@ class Transactions:
             function = 23
             at, size = self._span(FIXED, 125)
             got = self._context.read_write_registers(at, size, address, values)
-            expected = [register(each) for each in range(at, at + size)]
+            expected = [register(number) for number in range(at, at + size)]
             self._expect(f"read_write_registers({at}, {size})", got, expected)
         self._expect_written(address, self._clean.read_holding_registers(address, count), values)
         return function

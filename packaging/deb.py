@@ -49,9 +49,9 @@ def main(folder: Path) -> None:
         command = ["dpkg-buildpackage", "-us", "-uc", "--no-sign", "-F"]
         if subprocess.run(command, cwd=tree, check=False, stdout=sys.stderr).returncode:
             raise SystemExit("deb: dpkg-buildpackage failed")
-        for each in sorted(place.glob("*libmodbus-py*_*")):
-            shutil.copy(each, folder)
-            print(folder / each.name)
+        for path in sorted(place.glob("*libmodbus-py*_*")):
+            shutil.copy(path, folder)
+            print(folder / path.name)
         if shutil.which("lintian") is None:
             print("deb: not checked, because there is no lintian", file=sys.stderr)
             return
@@ -81,8 +81,8 @@ def files(root: Path = ROOT) -> list[str]:
         made = [line.strip("/") for line in (root / ".gitignore").read_text().splitlines()]
         names = [
             str(path)
-            for path in (each.relative_to(root) for each in root.rglob("*"))
-            if not any(part.match(each) for part in (path, *path.parents) for each in made)
+            for path in (path.relative_to(root) for path in root.rglob("*"))
+            if not any(part.match(entry) for part in (path, *path.parents) for entry in made)
         ]
     return sorted(name for name in names if (root / name).is_file())
 

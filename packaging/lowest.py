@@ -48,10 +48,10 @@ def constraints(project: dict[str, Any]) -> list[str]:
     for extra in EXTRAS:
         wanted += project["optional-dependencies"][extra]
     lowest: dict[str, list[Version]] = {}
-    for each in map(Requirement, wanted):
-        if each.marker is None or each.marker.evaluate():
-            found = [Version(part.version) for part in each.specifier if part.operator == ">="]
-            lowest.setdefault(each.name, []).extend(found)
+    for entry in map(Requirement, wanted):
+        if entry.marker is None or entry.marker.evaluate():
+            found = [Version(part.version) for part in entry.specifier if part.operator == ">="]
+            lowest.setdefault(entry.name, []).extend(found)
     for name, versions in lowest.items():
         if not versions:
             raise ValueError(f"{name!r} has no lowest version")

@@ -93,10 +93,10 @@ def repacked(sdist: Path, folder: Path) -> Path:
         gzip.GzipFile("", "wb", 9, file, mtime=time) as packed,
         tarfile.open(fileobj=packed, mode="w", format=tarfile.PAX_FORMAT) as new,
     ):
-        for each in sorted(old, key=lambda each: each.name):
-            each.mtime, each.uid, each.gid, each.uname, each.gname = time, 0, 0, "", ""
-            each.mode, each.pax_headers = usual_mode(each.mode), {}
-            new.addfile(each, old.extractfile(each) if each.isfile() else None)
+        for entry in sorted(old, key=lambda each: each.name):
+            entry.mtime, entry.uid, entry.gid, entry.uname, entry.gname = time, 0, 0, "", ""
+            entry.mode, entry.pax_headers = usual_mode(entry.mode), {}
+            new.addfile(entry, old.extractfile(entry) if entry.isfile() else None)
     return path
 
 
@@ -113,7 +113,7 @@ GLIBC = {
 def systems(wheel: str) -> str:
     """Return the systems that take a wheel, by its name."""
     machine = wheel.removesuffix(".whl").rpartition("linux_")[2].split("_", 2)[-1]
-    found = [tuple(map(int, each)) for each in re.findall(r"manylinux_(\d+)_(\d+)_", wheel)]
+    found = [tuple(map(int, match)) for match in re.findall(r"manylinux_(\d+)_(\d+)_", wheel)]
     if not found:
         return "for this machine only; an index would refuse it"
     lowest = min(found)

@@ -40,7 +40,7 @@ def repair(wheel: Path, folder: Path, licence: bytes) -> Path:
         _run("auditwheel", "repair", "--wheel-dir", str(place), str(wheel))
         (repaired,) = place.glob("*.whl")
         _run("wheel", "unpack", "--dest", str(place), str(repaired))
-        (tree,) = (each for each in place.iterdir() if each.is_dir())
+        (tree,) = (path for path in place.iterdir() if path.is_dir())
         _add_licences(tree, licence)
         _add_sbom(tree)
         for path in tree.rglob("*"):
@@ -65,7 +65,7 @@ def _add_licences(tree: Path, licence: bytes) -> None:
     metadata = info / "METADATA"
     head = metadata.read_text()
     assert OWN in head
-    files = "".join(f"License-File: libmodbus/{each.name}\n" for each in sorted(texts.iterdir()))
+    files = "".join(f"License-File: libmodbus/{path.name}\n" for path in sorted(texts.iterdir()))
     metadata.write_text(head.replace(OWN, BOTH + files, 1))
 
 

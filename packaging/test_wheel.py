@@ -53,7 +53,7 @@ def run(*command: object) -> str:
     # Nothing of the folder that this is started in, or of the caller's Python, is imported.
     env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(
-        [str(each) for each in command], cwd="/", env=env, capture_output=True, text=True
+        [str(word) for word in command], cwd="/", env=env, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
@@ -93,7 +93,7 @@ def test_the_notice_names_the_library_and_offers_its_source(names: list[str]) ->
     for said in (library, libmodbus.VERSION, libmodbus.SHA256, libmodbus.NAME, "three years"):
         assert said in notice
     with tarfile.open(SDIST) as sdist:
-        (source,) = (each for each in sdist if each.name.endswith(f"packaging/{libmodbus.NAME}"))
+        (source,) = (path for path in sdist if path.name.endswith(f"packaging/{libmodbus.NAME}"))
         data = sdist.extractfile(source)
         assert data is not None
         assert hashlib.sha256(data.read()).hexdigest() == libmodbus.SHA256
@@ -105,23 +105,23 @@ def test_the_bill_of_materials_names_what_the_wheel_carries(names: list[str]) ->
     own = bom["metadata"]["component"]
     version = re.findall("^Version: (.*)$", text_of("/METADATA"), re.MULTILINE)
     assert (own["name"], [own["version"]]) == ("libmodbus-py", version)
-    parts = {each["name"]: each for each in bom["components"]}
+    parts = {component["name"]: component for component in bom["components"]}
     assert set(parts) == {"libmodbus", "cffi"}
-    assert all(each["supplier"]["name"] for each in [own, *parts.values()])
+    assert all(row["supplier"]["name"] for row in [own, *parts.values()])
     (library,) = (name for name in names if name.startswith("libmodbus_py.libs/"))
     with zipfile.ZipFile(WHEEL) as wheel:
         digest = hashlib.sha256(wheel.read(library)).hexdigest()
     check_libmodbus(parts["libmodbus"], library, digest)
-    needs = {each["ref"]: each.get("dependsOn", []) for each in bom["dependencies"]}
-    assert set(needs[own["bom-ref"]]) == {each["bom-ref"] for each in parts.values()}
+    needs = {component["ref"]: component.get("dependsOn", []) for component in bom["dependencies"]}
+    assert set(needs[own["bom-ref"]]) == {part["bom-ref"] for part in parts.values()}
 
 
 def test_the_bill_of_materials_of_the_sdist_names_the_source_that_it_carries() -> None:
     with tarfile.open(SDIST) as sdist:
-        (name,) = (each for each in sdist if each.name.endswith(f"packaging/{sbom.NAME}"))
+        (name,) = (path for path in sdist if path.name.endswith(f"packaging/{sbom.NAME}"))
         file = sdist.extractfile(name)
         assert file is not None
-        parts = {each["name"]: each for each in json.load(file)["components"]}
+        parts = {component["name"]: component for component in json.load(file)["components"]}
     check_libmodbus(parts["libmodbus"], f"packaging/{libmodbus.NAME}", libmodbus.SHA256)
 
 
@@ -131,7 +131,7 @@ def check_libmodbus(part: dict[str, Any], place: str, digest: str) -> None:
     assert part["licenses"] == [{"license": {"id": "LGPL-2.1-or-later"}}]
     assert part["evidence"]["occurrences"] == [{"location": place}]
     assert part["hashes"] == [{"alg": "SHA-256", "content": digest}]
-    (source,) = (each for each in part["externalReferences"] if "hashes" in each)
+    (source,) = (entry for entry in part["externalReferences"] if "hashes" in entry)
     assert source["type"] == "source-distribution"
     assert source["url"].endswith(libmodbus.NAME)
     assert source["hashes"] == [{"alg": "SHA-256", "content": libmodbus.SHA256}]
@@ -149,7 +149,7 @@ def test_a_second_build_under_another_umask_gives_the_same_bytes(tmp_path: Path)
         again = make.made(tmp_path)
     finally:
         os.umask(before)
-    assert [each.name for each in again] == [SDIST.name, WHEEL.name]
+    assert [entry.name for entry in again] == [SDIST.name, WHEEL.name]
     equal = [a.read_bytes() == b.read_bytes() for a, b in zip(again, (SDIST, WHEEL), strict=True)]
     assert equal == [True, True]
 
@@ -246,7 +246,7 @@ def test_the_library_can_be_exchanged(home: Path, tmp_path: Path) -> None:
 
 def test_the_sdist_has_what_its_own_tests_need(tmp_path: Path) -> None:
     with tarfile.open(SDIST) as sdist:
-        inside = {each.name.partition("/")[2] for each in sdist if each.isfile()}
+        inside = {path.name.partition("/")[2] for path in sdist if path.isfile()}
     root = Path(__file__).parents[1]
     if not (root / ".git").exists():
         pytest.skip("this is no clone, so nobody knows which files belong to it")

@@ -75,7 +75,7 @@ def _own_lines(monkeypatch: pytest.MonkeyPatch) -> None:
 def _own_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Set HOME to an empty folder: programs may write there, and the user's may be read-only."""
     with pytest.MonkeyPatch.context() as patch:
-        for name in [each for each in os.environ if each.startswith("XDG_")]:
+        for name in [text for text in os.environ if text.startswith("XDG_")]:
             patch.delenv(name)
         patch.setenv("HOME", str(tmp_path_factory.mktemp("home")))
         yield

@@ -105,7 +105,7 @@ BACKLOGS = [
 
 @pytest.mark.parametrize("world", BACKLOGS)
 def test_a_late_answer_to_one_function_announces_those_to_others(world: str) -> None:
-    steps = [each.replace("_", " ").split(":") for each in world.split()]
+    steps = [word.replace("_", " ").split(":") for word in world.split()]
     assert run(False, True, 0, [(move, act) for move, act in steps]).errors == set()
 
 
@@ -124,7 +124,7 @@ MEETINGS = [
 def test_two_faults_that_meet_shift_nothing(
     world: str, changes: bool, retries: int, most: int
 ) -> None:
-    steps = [each.replace("_", " ").split(":") for each in world.split()]
+    steps = [word.replace("_", " ").split(":") for word in world.split()]
     result = run(False, changes, retries, [(move, act) for move, act in steps])
     assert result.errors <= {"stale"}
     assert result.wrong_values == most

@@ -147,7 +147,7 @@ gaps = st.sampled_from([0.0, 0.0005, 0.005, 0.05, 0.4, 2.0, 9.0])
 @each_case("framing", ["rtu", "ascii"])
 @settings(max_examples=60)
 @given(st.data())
-def test_listeners_survive_any_bytes(framing: Literal["rtu", "ascii"], data: st.DataObject) -> None:
+def test_listeners_accept_any_bytes(framing: Literal["rtu", "ascii"], data: st.DataObject) -> None:
     pieces = st.tuples(gaps, mutated(framing) | st.binary(max_size=12))
     check_listening(framing, data.draw(st.lists(pieces, max_size=12)))
 
@@ -177,7 +177,7 @@ def test_any_request_is_decoded_or_refused(data: bytes) -> None:
     check_request(data)
 
 
-@each_case("request_", REQUEST_OBJECTS, ids=[type(each).__name__ for each in REQUEST_OBJECTS])
+@each_case("request_", REQUEST_OBJECTS, ids=[type(item).__name__ for item in REQUEST_OBJECTS])
 @settings(max_examples=35)
 @given(data=near_pdus() | st.binary(max_size=260), mark=st.sampled_from([None, 0, 0x80]))
 def test_any_response_is_judged(request_: pdu.Request[Any], data: bytes, mark: int | None) -> None:
@@ -192,7 +192,7 @@ def test_a_device_answers_any_requests(requests: list[bytes]) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_an_innocent_client_among_hostile_ones(seed: int) -> None:
+def test_a_client_among_hostile_clients(seed: int) -> None:
     device = known_device()
     before = bytes(device.mapping.holding_registers.view)
     with Server({UNIT: device}).background("tcp://127.0.0.1:0") as running:

@@ -65,8 +65,8 @@ def tank(tmp_path: Path) -> Path:
 
 def test_each_place_is_changed_and_texts_are_not(tank: Path) -> None:
     places = [
-        (each.line, each.operator, str(each).partition(f"{each.operator}: ")[2])
-        for each in mutants(tank)
+        (mutant.line, mutant.operator, str(mutant).partition(f"{mutant.operator}: ")[2])
+        for mutant in mutants(tank)
     ]
     assert sorted(places) == sorted(EXPECTED)
 
@@ -87,7 +87,7 @@ def take(waiting: list[int]) -> bool:
     return len(waiting) < MOST_AT_ONCE
 """
     )
-    places = {(each.line, each.operator) for each in mutants(path)}
+    places = {(mutant.line, mutant.operator) for mutant in mutants(path)}
     assert places == {
         (3, "assignment removed"),
         (3, "constant"),

@@ -58,7 +58,7 @@ IMPORTABLE = [
 def test_public_modules_do_not_hand_out_private_names() -> None:
     for name in IMPORTABLE:
         exported = getattr(importlib.import_module(f"libmodbus_py.{name}"), "__all__", [])
-        assert [each for each in exported if each.startswith("_")] == []
+        assert [text for text in exported if text.startswith("_")] == []
 
 
 FOLDERS = sorted({name.split(".")[0] for name in MODULES if "." in name})
@@ -89,11 +89,11 @@ class TestMap:
 
     def test_help_names_every_public_module(self) -> None:
         text = (libmodbus_py.__doc__ or "").partition("Modules with more public names")[2]
-        assert [each for each in PUBLIC_MODULES if not re.search(rf"\b{each}\b", text)] == []
+        assert [item for item in PUBLIC_MODULES if not re.search(rf"\b{item}\b", text)] == []
 
     def test_contributing_names_every_folder(self) -> None:
         text = (PACKAGE.parent / "CONTRIBUTING.md").read_text()
-        assert [each for each in FOLDERS if f"`{each}`" not in text] == []
+        assert [folder for folder in FOLDERS if f"`{folder}`" not in text] == []
 
     @pytest.mark.parametrize("folder", FOLDERS)
     def test_each_folder_names_its_files(self, folder: str) -> None:
@@ -101,7 +101,7 @@ class TestMap:
         files = {name.split(".")[1] for name in MODULES if name.startswith(f"{folder}.")}
         if folder == "server":  # a table names the files of transports
             files -= {*TRANSPORTS}
-        assert sorted(each for each in files if not re.search(rf"\b{each}\b", text)) == []
+        assert sorted(file for file in files if not re.search(rf"\b{file}\b", text)) == []
 
 
 SHORT_PATHS = {
@@ -141,7 +141,7 @@ class TestPublicNames:
     def test_every_public_name_of_every_module_exists(self) -> None:
         for name in IMPORTABLE:
             module = importlib.import_module(f"libmodbus_py.{name}")
-            missing = [each for each in getattr(module, "__all__", []) if not hasattr(module, each)]
+            missing = [item for item in getattr(module, "__all__", []) if not hasattr(module, item)]
             assert missing == [], name
 
     def test_the_package_is_distributed_whole(self) -> None:
@@ -241,8 +241,8 @@ class TestPublicNames:
         for name, text in signatures.items():
             signature = inspect.signature(getattr(Client, name))
             bare = [
-                each.replace(annotation=inspect.Parameter.empty)
-                for each in list(signature.parameters.values())[1:]
+                parameter.replace(annotation=inspect.Parameter.empty)
+                for parameter in list(signature.parameters.values())[1:]
             ]
             assert str(inspect.Signature(bare)) == text, name
 

@@ -31,7 +31,7 @@ def write(pytester: pytest.Pytester, tests: str, last: float) -> None:
 
 
 @pytest.mark.slow
-def test_a_test_that_hangs_fails_and_says_where(pytester: pytest.Pytester) -> None:
+def test_a_test_that_hangs_fails_and_names_its_place(pytester: pytest.Pytester) -> None:
     write(pytester, TESTS, 30)
     outcome = pytester.runpytest_subprocess("-p", "no:xdist", "-p", "no:libmodbus_py")
     names = re.findall(r"def (test_\w+)\(\w*\):  # (\w+)", TESTS)
@@ -41,7 +41,7 @@ def test_a_test_that_hangs_fails_and_says_where(pytester: pytest.Pytester) -> No
     for name, place in names:
         parts = re.split(r"\n_{3,} (?:ERROR at (?:setup|teardown) of )?", text)
         reports = [part for part in parts if part.startswith(f"{name} ")]
-        assert any("reached the limit of 0.3 s" in each and place in each for each in reports), name
+        assert any("reached the limit of 0.3 s" in item and place in item for item in reports), name
 
 
 NEVER = {

@@ -9,12 +9,12 @@ ORDERS = {"big": "ABCD", "little": "DCBA", "mixed": "BADC", "yolo": "CDAB"}
 
 
 def rows(module):
-    for each in module["metrics"]:
-        code, address = str(each["address"])[0], int(str(each["address"])[1:])
-        name = "_".join([each["name"], *map(str, each.get("labels", {}).values())])
-        type = each["dataType"].replace("bool", "")
-        bit = each.get("bitOffset") if code in "34" else ""
-        layout = type, ORDERS[each.get("endianness", "big")], each.get("factor")
+    for row in module["metrics"]:
+        code, address = str(row["address"])[0], int(str(row["address"])[1:])
+        name = "_".join([row["name"], *map(str, row.get("labels", {}).values())])
+        type = row["dataType"].replace("bool", "")
+        bit = row.get("bitOffset") if code in "34" else ""
+        layout = type, ORDERS[row.get("endianness", "big")], row.get("factor")
         yield name, TABLES[code], address, *layout, "", "", "r", "", bit
 
 

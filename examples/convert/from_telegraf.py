@@ -9,12 +9,12 @@ from write_map import write
 
 def rows(device):
     for table in ("coils", "discrete_inputs", "holding_registers", "input_registers"):
-        for each in device.get(table, []):
-            bits, type = 16 * len(each["address"]), each.get("data_type", "")
+        for row in device.get(table, []):
+            bits, type = 16 * len(row["address"]), row.get("data_type", "")
             fixed = {"FIXED": f"int{bits}", "UFIXED": f"uint{bits}", "FLOAT32": f"uint{bits}"}
             type = fixed.get(type, type.removesuffix("-IEEE"))
-            layout = type, each.get("byte_order"), each.get("scale")
-            yield each["name"], table, each["address"][0], *layout
+            layout = type, row.get("byte_order"), row.get("scale")
+            yield row["name"], table, row["address"][0], *layout
 
 
 with open("telegraf.conf", "rb") as file:

@@ -62,7 +62,7 @@ def read(text: str) -> Diagram:
             made.title = line.removeprefix("title:").strip()
         elif line.startswith("column:"):
             boxes = line.removeprefix("column:").split(";")
-            parts = [each.partition(" / ") for each in boxes]
+            parts = [box.partition(" / ") for box in boxes]
             made.columns.append([(name.strip(), small.strip()) for name, _, small in parts])
         elif found := re.fullmatch(r"(.+?) -- ([^:]+)(?:: (.+))?", line):
             made.lines.append((found[1], found[2], found[3] or ""))

@@ -66,7 +66,7 @@ class Screen:
     def _obey(self, order: str, numbers: str) -> None:
         count = int(numbers) if numbers.isdigit() else 1
         if order == "m":
-            self._look = next((COLOURS[each] for each in numbers.split(";") if each in COLOURS), "")
+            self._look = next((COLOURS[word] for word in numbers.split(";") if word in COLOURS), "")
         elif order == "A":
             self._row = max(0, self._row - count)
         elif order in "HJ":
@@ -103,7 +103,7 @@ def recorded(command: list[str], seconds: float) -> Screen:
 
 def picture(typed: str, screen: Screen) -> str:
     """Return the SVG of a command as it is typed, and of what it shows."""
-    prompt = [("$", COLOURS["32"]), (" ", ""), *((each, "") for each in typed)]
+    prompt = [("$", COLOURS["32"]), (" ", ""), *((entry, "") for entry in typed)]
     rows = [prompt, *screen.rows]
     while not rows[-1]:
         rows.pop()
@@ -117,7 +117,7 @@ def picture(typed: str, screen: Screen) -> str:
     ]
     for number, row in enumerate(rows):
         top = EDGE + HEIGHT * number + 14
-        for found in re.finditer(r"\S+(?: \S+)*", "".join(each for each, _ in row)):
+        for found in re.finditer(r"\S+(?: \S+)*", "".join(entry for entry, _ in row)):
             lines += _spans(row, found.start(), found.end(), top)
     return "\n".join([*lines, "</g>", "</svg>", ""])
 
@@ -129,7 +129,7 @@ def _spans(row: list[tuple[str, str]], begin: int, end: int, top: int) -> list[s
         stop = begin
         while stop < end and row[stop][1] == look:
             stop += 1
-        text = html.escape("".join(each for each, _ in row[begin:stop]))
+        text = html.escape("".join(entry for entry, _ in row[begin:stop]))
         place = (
             f'x="{EDGE + begin * WIDTH:.1f}" y="{top}" textLength="{(stop - begin) * WIDTH:.1f}"'
         )

@@ -50,8 +50,8 @@ def test_a_gateway_has_options_for_its_devices_and_prints_frames(device: str) ->
     ("query", "options", "unit"),
     [("?unit=7&timeout=5", [], 7), ("?unit=7", ["--unit", "9"], 9), ("", [], 1)],
 )
-def test_the_unit_is_that_of_the_url_unless_it_is_told(query, options, unit) -> None:
-    devices = {each: Device(Mapping(coils=each)) for each in (1, 7, 9)}
+def test_the_unit_is_that_of_the_url_by_default(query, options, unit) -> None:
+    devices = {number: Device(Mapping(coils=number)) for number in (1, 7, 9)}
     with Server(devices).background("tcp://127.0.0.1:0") as running:
         where = [running.urls[0] + query, "coils", str(unit - 1)]
         result = run("read", *where, "--json", "-v", *options)
@@ -99,7 +99,7 @@ def test_an_option_of_another_program_has_its_equivalent(command, words, message
     assert result.err.count("\n") == 1
 
 
-def test_options_and_values_of_ours_are_none_of_theirs() -> None:
+def test_options_and_values_of_this_package_differ_from_those_of_others() -> None:
     for words in (
         "read 127.0.0.1:1 hr 0 -p none -s 2 --timeout 1",
         "write 127.0.0.1:1 hr 0 -1 -4",
@@ -115,7 +115,7 @@ def test_options_and_values_of_ours_are_none_of_theirs() -> None:
 def test_every_option_of_the_page_about_other_programs_has_one(tool: str) -> None:
     theirs = {text.split()[0].strip("`,") for text, _ in rows(tool)}
     ours = {"-b", "-u", "-v", "-m"}  # which mean something here, too
-    assert {each for each in theirs if each.startswith("-")} - ours <= set(OPTIONS)
+    assert {their for their in theirs if their.startswith("-")} - ours <= set(OPTIONS)
 
 
 def test_a_command_that_is_left_out_reads() -> None:

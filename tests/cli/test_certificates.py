@@ -58,7 +58,7 @@ def test_options_set_hosts_days_and_roles(tmp_path: Path) -> None:
     server = load(tmp_path / "server.pem")
     names = server.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     assert names.get_values_for_type(x509.DNSName) == ["localhost", "plc.example"]
-    addresses = [str(each) for each in names.get_values_for_type(x509.IPAddress)]
+    addresses = [str(entry) for entry in names.get_values_for_type(x509.IPAddress)]
     assert addresses == ["127.0.0.1", "::1", "192.0.2.7"]
     assert role_in(tmp_path / "shift-leader.pem") == "Shift leader"
     assert role_in(tmp_path / "prüfer.pem") == "Prüfer"
@@ -91,7 +91,7 @@ LONG = "a-machine-whose-name-is-longer-than-a-common-name-may-be-in-a-plant.exam
 
 def names_in(path: Path) -> list[str]:
     names = load(path).extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    return [str(each.value) for each in names]
+    return [str(name.value) for name in names]
 
 
 def test_machines_have_certificates_of_one_authority(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_machines_have_certificates_of_one_authority(tmp_path: Path) -> None:
     assert (tmp_path / "ca-key.pem").stat().st_mode & 0o777 == 0o600
     for name in machines:
         folder = tmp_path / name
-        assert {each.name for each in folder.iterdir()} == {
+        assert {path.name for path in folder.iterdir()} == {
             *("ca.pem", "server.pem", "server-key.pem")
         }
         load(folder / "server.pem").verify_directly_issued_by(ca)
@@ -117,7 +117,7 @@ def test_machines_have_certificates_of_one_authority(tmp_path: Path) -> None:
     addresses = load(tmp_path / "::1" / "server.pem").extensions.get_extension_for_class(
         x509.SubjectAlternativeName
     )
-    assert [type(each) for each in addresses.value] == [x509.IPAddress]
+    assert [type(entry) for entry in addresses.value] == [x509.IPAddress]
 
 
 @each_case("name", ["", "-----BEGIN PRIVATE KEY-----\nMIGHAgEA"])
@@ -141,14 +141,14 @@ def test_an_authority_without_its_key_is_named(name: str | None, tmp_path: Path)
     assert not (tmp_path / "n2").exists()
 
 
-def test_what_cannot_be_written_leaves_no_half(tmp_path, monkeypatch) -> None:
+def test_a_failed_write_leaves_no_partial_file(tmp_path, monkeypatch) -> None:
     def full(descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
     assert make(tmp_path, "n1").code == 1
     assert make(tmp_path).code == 1
-    assert [each for each in tmp_path.rglob("*") if each.is_file()] == []
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
 def names_of(result: Result) -> dict[str, list[str]]:

@@ -53,7 +53,7 @@ def test_bash_completes_words(place: Path, line: str, names: set[str]) -> None:
     )
     result = shell(place, ["bash", "-c", script])
     assert result.stderr == ""
-    assert {each.strip() for each in result.stdout.split()} - {"--help", "--help-all"} == names
+    assert {word.strip() for word in result.stdout.split()} - {"--help", "--help-all"} == names
 
 
 @pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
@@ -101,7 +101,7 @@ def test_quotes_and_spaces_are_completed(place: Path, line: str, words: list[str
     rows = "".join(f"{name},holding,{at}\n" for at, name in enumerate(names))
     (place / "my meter.csv").write_text(f"name,table,address\n{rows}")
     answers = complete(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="bash").split("\013")
-    assert [re.sub(r"\\(.)", r"\1", each).strip() for each in answers] == words
+    assert [re.sub(r"\\(.)", r"\1", answer).strip() for answer in answers] == words
 
 
 MAP = "name,table,address\nvoltage,input,0\ncurrent,input,1\n"
@@ -136,7 +136,7 @@ def complete(line: str, folder: Path, **shell: str) -> str:
 @pytest.mark.parametrize(("line", "words"), LINES)
 def test_bash_gets_arguments(place: Path, line: str, words: list[str]) -> None:
     answer = complete(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="bash")
-    assert sorted({each.strip() for each in answer.split("\013")} - {"--help", ""}) == words
+    assert sorted({word.strip() for word in answer.split("\013")} - {"--help", ""}) == words
 
 
 def test_the_map_may_stand_behind_the_name(place: Path) -> None:

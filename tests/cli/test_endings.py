@@ -38,7 +38,7 @@ CASES = [
 @pytest.mark.parametrize(("name", "number", "code"), CASES)
 def test_a_signal_ends_all(tmp_path: Path, device: str, name: str, number: int, code: int) -> None:
     (tmp_path / "fleet.toml").write_text(FLEET.format(url=device))
-    arguments = [each.format(url=device, folder=tmp_path) for each in COMMANDS[name][0]]
+    arguments = [command.format(url=device, folder=tmp_path) for command in COMMANDS[name][0]]
     with subprocess.Popen(
         [*PROGRAM, *arguments],
         stdin=subprocess.DEVNULL,
@@ -61,7 +61,7 @@ def test_a_signal_ends_all(tmp_path: Path, device: str, name: str, number: int, 
 @pytest.mark.parametrize("name", ["poll", "read"])
 def test_a_reader_that_goes_away_ends_it(tmp_path: Path, device: str, name: str) -> None:
     (tmp_path / "fleet.toml").write_text(FLEET.format(url=device))
-    arguments = [each.format(url=device, folder=tmp_path) for each in COMMANDS[name][0]]
+    arguments = [command.format(url=device, folder=tmp_path) for command in COMMANDS[name][0]]
     program = " ".join(f"'{word}'" for word in [*PROGRAM, *arguments])
     result = run_to_end("bash", "-o", "pipefail", "-c", f"{program} | head -1")
     assert result.stdout.count("\n") == 1

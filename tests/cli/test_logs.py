@@ -31,7 +31,7 @@ def output(capsys: pytest.CaptureFixture[str], log: str | None, form: str | None
 @pytest.mark.parametrize(
     ("level", "count"), [("debug", 3), ("info", 2), ("warning", 1), ("error", 0), (None, 1)]
 )
-def test_messages_of_a_level_and_above_are_objects(level, count, capsys) -> None:
+def test_messages_of_a_level_and_above_are_json_objects(level, count, capsys) -> None:
     entries = [json.loads(line) for line in output(capsys, level, "json").splitlines()]
     assert len(entries) == count
     if entries:
@@ -81,7 +81,7 @@ def test_text_has_time_level_and_place(capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.parametrize("form", ["json", "text"])
-def test_an_exception_is_told_whole(form: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_exception_is_shown_completely(form: str, capsys: pytest.CaptureFixture[str]) -> None:
     with logged(Namespace(log="info", log_format=form)):
         try:
             raise ValueError("wrong")
@@ -103,8 +103,8 @@ def test_servers_tell_where_they_listen_and_every_frame(command: list[str]) -> N
         process.terminate()
         assert process.wait() == 0
         entries: list[Any] = [json.loads(line) for line in process.stderr]
-    assert any(each["message"] == f"listening on {url}" for each in entries)
-    frames = [each for each in entries if each["logger"] == "libmodbus_py.wire"]
+    assert any(entry["message"] == f"listening on {url}" for entry in entries)
+    frames = [entry for entry in entries if entry["logger"] == "libmodbus_py.wire"]
     assert frames[0]["message"].startswith(url)
 
 

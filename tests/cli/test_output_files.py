@@ -66,7 +66,7 @@ def test_output_goes_to_a_new_file(url: str, tmp_path: Path, option: str) -> Non
     assert bare.read_text()
 
 
-def test_csv_goes_on_with_a_file_of_the_same_columns(url: str, tmp_path: Path) -> None:
+def test_csv_continues_a_file_of_the_same_columns(url: str, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.touch()  # an empty file has no other columns
     words = ("read", url, "hr", 0, 2)
@@ -178,7 +178,7 @@ PRINTING = [
 
 
 @each_case("words", PRINTING)
-def test_an_output_that_is_full_or_that_nobody_reads(url: str, words: str) -> None:
+def test_an_output_that_is_full_or_is_not_read(url: str, words: str) -> None:
     typed = words.replace("URL", url).split()
     with open("/dev/full", "w") as full:
         result = run(*typed, out=full)

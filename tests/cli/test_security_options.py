@@ -84,7 +84,7 @@ def test_a_password_comes_from_the_environment(url: str, pki: Pki) -> None:
     assert "sesame" not in text
 
 
-def test_nobody_is_asked_for_a_password(pki: Pki) -> None:
+def test_no_prompt_for_a_password(pki: Pki) -> None:
     """OpenSSL would ask the terminal."""
     files = pki.files(certificates.client(), SECRET.encode())
     master, slave = pty.openpty()
@@ -118,7 +118,7 @@ def test_an_option_overrides_the_url(own: list[str], url: str, pki: Pki) -> None
     assert read(f"{url}?ca=nowhere.pem", *own).endswith(GOOD)
 
 
-def test_what_fails_is_told_in_one_line(own: list[str], url: str) -> None:
+def test_failures_are_reported_in_one_line(own: list[str], url: str) -> None:
     where = ("holding", "0", *own)
     with mute_port() as port:
         message = fails(1, "read", f"tls://127.0.0.1:{port}?timeout=0.3", *where)

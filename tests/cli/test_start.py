@@ -32,7 +32,7 @@ SLOW |= {"dataclasses"} if sys.version_info < (3, 14) else set()
 @pytest.mark.parametrize(
     "arguments", [["--version"], ["--help"], [], ["reed"], ["--unit", "3"]], ids=" ".join
 )
-def test_what_needs_no_client_brings_none(arguments: list[str]) -> None:
+def test_commands_without_a_client_import_none(arguments: list[str]) -> None:
     modules = modules_after(*arguments)
     folders = {name.split(".")[1] for name in modules if name.startswith("libmodbus_py.")}
     # A word that is not a command is compared with those that are.
@@ -46,7 +46,7 @@ def test_what_needs_no_client_brings_none(arguments: list[str]) -> None:
 
 
 @pytest.mark.parametrize("arguments", [["read"], ["raw", "-b", "x"], ["write", "h", "--retries"]])
-def test_wrong_usage_of_a_client_brings_none(arguments: list[str]) -> None:
+def test_wrong_usage_imports_no_client(arguments: list[str]) -> None:
     modules = modules_after(*arguments)
     ports = {name for name in modules if name.startswith("libmodbus_py.ports.")}
     assert ports == {"libmodbus_py.ports.options", "libmodbus_py.ports.schemes"}

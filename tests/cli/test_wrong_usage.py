@@ -71,7 +71,7 @@ def error_of(folder: Path, line: str, code: int) -> str:
     assert result.err.startswith("libmodbus-py: ")
     assert result.err.count("\n") == 1
     assert not re.search("sesame|token=", result.err)
-    assert {each.name: each.read_text() for each in folder.iterdir()} == FILES
+    assert {path.name: path.read_text() for path in folder.iterdir()} == FILES
     text = result.err.removeprefix("libmodbus-py: ").rstrip("\n").replace(str(folder), "FOLDER")
     return re.sub(r"\S+/examples/", "EXAMPLES/", text)
 

@@ -92,7 +92,7 @@ def test_requests_of_one_moment_are_sent_together() -> None:
     async def use(plc: AsyncClient, peer: Scripted) -> None:
         await plc.read_holding_registers(0, 1)
         peer.network.tap = tap
-        await asyncio.gather(*(plc.read_holding_registers(each, 1) for each in range(8)))
+        await asyncio.gather(*(plc.read_holding_registers(number, 1) for number in range(8)))
         assert len(b"".join(pieces)) == 8 * 12
         assert len(pieces) <= 3
 

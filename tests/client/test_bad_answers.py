@@ -276,7 +276,7 @@ STRAYS: dict[str, Callable[[bytes], bytes]] = {
 
 @pytest.mark.parametrize("pause", [0, 0.03])
 @pytest.mark.parametrize("stray", STRAYS)
-def test_what_stands_before_each_answer_on_a_line_harms_none(stray, pause, world: World) -> None:
+def test_noise_before_each_answer_on_a_line_is_dropped(stray, pause, world: World) -> None:
     """A transceiver that turns round makes bytes; a pause is longer than the framer's silence."""
 
     def strayed(request: bytes, write: Write) -> None:
@@ -317,7 +317,7 @@ def test_a_late_answer_during_a_request_does_not_fail_it(world: World) -> None:
         assert peer.connections == 1
 
 
-def test_a_device_that_is_unit_255_to_everybody_is_reached_with_an_option(world: World) -> None:
+def test_a_device_that_is_unit_255_is_reached_with_an_option(world: World) -> None:
     peer = world.peer("tcp", answering(lambda request: [answer(request, "tcp", unit=255)]))
     with (
         world.connect(peer.url, unit=3) as client,

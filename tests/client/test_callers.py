@@ -25,15 +25,15 @@ def test_a_trace_gets_every_frame_and_noise() -> None:
         driver.come(noise)
         driver.come(right)
         driver.wait(0.03)
-        assert [(each.direction, each.adu) for each in (frames[0], frames[-1])] == [
+        assert [(frame.direction, frame.adu) for frame in (frames[0], frames[-1])] == [
             ("sent", driver.sent[0]),
             ("received", right),
         ]
-        assert {(each.unit, each.function) for each in (frames[0], frames[-1])} == {(1, 3)}
+        assert {(entry.unit, entry.function) for entry in (frames[0], frames[-1])} == {(1, 3)}
         if url != ASCII:
             assert frames[1].adu == noise
             assert (frames[1].unit, frames[1].function) == (None, None)
-        assert all(each.endpoint.startswith(url) for each in frames)
+        assert all(frame.endpoint.startswith(url) for frame in frames)
         assert "unit 1, function 3: " in str(frames[0])
 
 
@@ -80,7 +80,7 @@ def test_what_a_request_class_raises_reaches_its_own_caller_only(url: str, error
     assert driver.is_at_rest
 
 
-def test_an_outcome_that_cannot_be_compared_harms_nobody() -> None:
+def test_an_outcome_without_comparison_has_no_effect_on_others() -> None:
     class Stubborn:
         def __eq__(self, other: object) -> bool:
             raise ValueError("the truth of an array is ambiguous")
@@ -103,8 +103,8 @@ def test_an_outcome_that_cannot_be_compared_harms_nobody() -> None:
 def test_requests_that_were_not_sent_are_no_sign_of_a_dead_device() -> None:
     driver = Driver(timeout=1, max_in_flight=1)
     driver.ask(1)
-    for each in [driver.ask(2), driver.ask(3), driver.ask(4)]:
-        driver.cancel(each)
+    for entry in [driver.ask(2), driver.ask(3), driver.ask(4)]:
+        driver.cancel(entry)
     driver.wait(1)
     batch = driver.ask(5)
     assert driver.connection.broken is None
@@ -121,7 +121,7 @@ def test_requests_go_out_before_answers_are_decoded() -> None:
     assert len(driver.sent) == 3
     driver.connection.take([tcp(driver.sent[1]), tcp(driver.sent[2])], driver.now)
     driver.connection.settle(driver.now)
-    assert [each.outcomes for each in batches] == [[[1]], [[2]], [[3]]]
+    assert [batch.outcomes for batch in batches] == [[[1]], [[2]], [[3]]]
 
 
 def test_a_batch_that_failed_while_it_waited_can_be_left() -> None:
@@ -153,7 +153,7 @@ def test_interrupted_requests_leave_nothing(url: str) -> None:
     driver.open()
     driver.wait(5)
     assert len(driver.sent) == count
-    assert not any(each.is_done for each in (busy, everyone, batch, queued))
+    assert not any(call.is_done for call in (busy, everyone, batch, queued))
     exchange(driver, 7)
 
 

@@ -129,8 +129,8 @@ def agreements(functions: range) -> list[Ask]:
         requests = [pdu.ReadHoldingRegisters(300 + at % 100, 1) for at in range(200)]
         assert context.execute_many(requests) == [[1300 + at % 100] for at in range(200)]
 
-    agreed = [partial(agree, each) for each in exchanges() if each.function in functions]
-    refusals_ = [partial(refuse, each) for each in refusals() if each.function in functions]
+    agreed = [partial(agree, item) for item in exchanges() if item.function in functions]
+    refusals_ = [partial(refuse, item) for item in refusals() if item.function in functions]
     return [*agreed, *refusals_, many]
 
 

@@ -128,7 +128,7 @@ def test_a_device_that_stays_one_answer_behind_gets_a_new_connection() -> None:
     assert driver.connection.broken is not None
 
 
-def test_an_answer_to_nobody_is_no_sign_of_life() -> None:
+def test_an_answer_without_a_request_is_no_sign_of_life() -> None:
     driver = Driver(timeout=1)
     for _ in range(3):
         driver.ask(1)
@@ -178,8 +178,8 @@ def test_every_request_has_an_error_of_its_own() -> None:
     driver = Driver()
     batch = driver.ask(1, 2, 3, one_by_one=False, go_on=True)
     driver.lose()
-    assert len({id(each) for each in batch.outcomes}) == 3
-    assert [each.sent for each in batch.outcomes] == driver.sent
+    assert len({id(outcome) for outcome in batch.outcomes}) == 3
+    assert [outcome.sent for outcome in batch.outcomes] == driver.sent
     assert LOST.sent == b""
 
 
@@ -194,7 +194,7 @@ def test_a_batch_that_is_decided_opens_no_connection() -> None:
     assert not driver.connection.is_wanted
 
 
-def test_three_fruitless_connections_fail_all_who_wait() -> None:
+def test_three_fruitless_connections_fail_all_waiting_requests() -> None:
     driver = Driver(max_in_flight=1)
     batch = driver.ask(*range(10), go_on=True)
     for number in range(3):
@@ -203,7 +203,7 @@ def test_three_fruitless_connections_fail_all_who_wait() -> None:
         if not batch.is_done:
             driver.open()
     assert kinds(batch) == [ModbusConnectionError] * 10
-    assert [each.sent != b"" for each in batch.outcomes] == [True] * 3 + [False] * 7
+    assert [outcome.sent != b"" for outcome in batch.outcomes] == [True] * 3 + [False] * 7
     assert driver.is_at_rest
 
 
@@ -243,7 +243,7 @@ def test_a_broadcast_that_was_cancelled_still_has_the_line() -> None:
     assert len(driver.sent) == 2
 
 
-def test_a_request_that_nobody_answers_makes_a_batch_go_one_by_one() -> None:
+def test_after_an_unanswered_request_a_batch_is_sent_one_by_one() -> None:
     silent = pdu.Diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY, b"\0\0")
     driver = Driver(turnaround=0.1)
     batch = driver.ask(1, silent, 2, one_by_one=False)

@@ -181,7 +181,7 @@ def test_handles_of_several_units_share_the_connection(world: World) -> None:
     peer = world.peer("tcp", on_read)
     with world.connect(peer.url, unit=0) as plc:
         handles = [plc, plc.for_unit(9), plc.for_unit(255)]
-        assert [each.read_holding_registers(7, 1) for each in handles] == [[7]] * 3
+        assert [handle.read_holding_registers(7, 1) for handle in handles] == [[7]] * 3
         assert [request[6] for request in peer.requests] == [0, 9, 255]
         assert peer.connections == 1
         assert handles[1].statistics is plc.statistics
@@ -200,7 +200,7 @@ def test_close_is_idempotent_and_final(world: World) -> None:
         with pytest.raises(ModbusConnectionError, match="closed"):
             ask()
     outcomes = plc.execute_many([REQUEST] * 3, return_exceptions=True)
-    assert [type(each) for each in outcomes] == [ModbusConnectionError] * 3
+    assert [type(outcome) for outcome in outcomes] == [ModbusConnectionError] * 3
 
 
 @pytest.fixture(params=["an answer", "a connection", "a pause"])
@@ -227,9 +227,9 @@ def test_close_ends_what_others_wait_for(somebody_waits: Any) -> None:
         futures = [pool.submit(plc.execute, REQUEST), pool.submit(plc.execute_many, [REQUEST] * 50)]
         until(lambda: plc._driver._connection.is_wanted or plc.statistics.requests)
         plc.close()
-        for each in futures:
+        for future in futures:
             with pytest.raises(ModbusConnectionError):
-                each.result()
+                future.result()
 
 
 HOST = "10.0.0.9"

@@ -60,9 +60,9 @@ def asked(driver: Driver, address: int, *answers: tuple[float, bytes]) -> object
     """Return the outcome of a read to which such answers come, each after so many seconds."""
     driver.wait(0.05)
     batch, start = driver.ask(address), driver.now
-    for after, each in answers:
-        driver.wait_until(start + after)
-        driver.come(each)
+    for delay, data in answers:
+        driver.wait_until(start + delay)
+        driver.come(data)
     driver.wait_until(start + 0.2)
     return batch.outcomes[0]
 
@@ -70,8 +70,8 @@ def asked(driver: Driver, address: int, *answers: tuple[float, bytes]) -> object
 def warm() -> Driver:
     """Return a driver whose unit answers after 10 ms."""
     driver = Driver(LINE, timeout=1)
-    for each in range(1, 20):
-        assert asked(driver, each, (0.01, value(each))) == [each]
+    for number in range(1, 20):
+        assert asked(driver, number, (0.01, value(number))) == [number]
     return driver
 
 
@@ -98,25 +98,25 @@ def test_an_answer_that_is_doubted_behind_an_echo_is_not_taken_for_damage() -> N
 
 def test_answers_of_a_unit_that_became_faster_are_held_once() -> None:
     driver = warm()
-    for each in (20, 21, 22):
-        batch = driver.ask(each)
+    for number in (20, 21, 22):
+        batch = driver.ask(number)
         driver.wait(0.005)
-        driver.come(value(each))
-        assert batch.is_done is (each > 20)
+        driver.come(value(number))
+        assert batch.is_done is (number > 20)
         driver.wait(0.05)
-        assert batch.outcomes == [[each]]
+        assert batch.outcomes == [[number]]
 
 
 def test_answers_that_vary_in_time_are_believed_at_once() -> None:
     """As on a network, where the time of one says little of the next."""
     driver, chance, count = Driver(LINE, timeout=1), random.Random(1), 0
-    for each in range(1, 2000):
-        batch = driver.ask(each)
+    for number in range(1, 2000):
+        batch = driver.ask(number)
         driver.wait(0.002 + chance.expovariate(200))
-        driver.come(value(each))
+        driver.come(value(number))
         count += not batch.is_done
         driver.wait(0.1)
-        assert batch.outcomes == [[each]]
+        assert batch.outcomes == [[number]]
     assert count < 5
 
 
@@ -124,10 +124,10 @@ def test_polls_of_values_that_flip_take_no_longer_than_others() -> None:
     chance, seconds = random.Random(1), {}
     for name, most in (("different", None), ("constant", 0), ("flip", 1), ("few", 15)):
         driver = Driver(LINE, timeout=1)
-        for each in range(3000):
-            batch = driver.ask(each % 10)
+        for number in range(3000):
+            batch = driver.ask(number % 10)
             driver.wait(chance.uniform(0.004, 0.006))
-            driver.come(value(each if most is None else chance.randint(0, most)))
+            driver.come(value(number if most is None else chance.randint(0, most)))
             while not batch.is_done:
                 driver.wait(0.001)
         seconds[name] = driver.now

@@ -201,7 +201,7 @@ def test_no_caller_waits_for_a_client_whose_hook_ends_the_program(scheme: str, h
             leave.left = number
             plc = AsyncClient(peer.url, retries=1, **options)
             asks = plc.write_register(20, 1), plc.execute(Read(30, 1)), submit(plc, 40)
-            tasks = [loop.create_task(each) for each in asks]
+            tasks = [loop.create_task(ask) for ask in asks]
             ended(loop, tasks)
             is_left = leave.left <= 0
             leave.left = -1

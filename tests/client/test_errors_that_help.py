@@ -73,7 +73,7 @@ def longest_hex(text: str) -> int:
     return max((len(run.split()) for run in runs), default=0)
 
 
-def test_a_client_and_its_errors_say_where_they_lead() -> None:
+def test_a_client_and_its_errors_name_the_endpoint() -> None:
     client = AsyncClient("tcp://192.0.2.1:502?unit=7")
     assert repr(client) == "<AsyncClient tcp://192.0.2.1:502, unit 7, disconnected>"
 

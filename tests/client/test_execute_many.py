@@ -67,7 +67,7 @@ def refusal(request: bytes, code: int) -> bytes:
 
 def failed(outcomes: list[Any], kind: type[ModbusError] = ModbusError) -> list[int]:
     """Return where failures stand."""
-    return [at for at, each in enumerate(outcomes) if isinstance(each, kind)]
+    return [at for at, outcome in enumerate(outcomes) if isinstance(outcome, kind)]
 
 
 @pytest.mark.parametrize("most", [1, 16])
@@ -205,12 +205,12 @@ def test_first_failure_in_the_order_of_requests_is_raised_at_once(world: World) 
     """As soon as all before it are answered, whatever is not answered behind it."""
 
     def play(requests: list[bytes], write: Write) -> None:
-        for each in (refusal(requests[5], 4), *map(echo, requests[6:])):
-            write(each)
-        for each in (*map(echo, requests[3:5]), refusal(requests[1], 2)):
-            write(each, after=0.05)
-        for each in (echo(requests[0]), mbap(requests[2], b"\x04\x02\0\0")):
-            write(each, after=0.051)
+        for request in (refusal(requests[5], 4), *map(echo, requests[6:])):
+            write(request)
+        for request in (*map(echo, requests[3:5]), refusal(requests[1], 2)):
+            write(request, after=0.05)
+        for request in (echo(requests[0]), mbap(requests[2], b"\x04\x02\0\0")):
+            write(request, after=0.051)
         peer.on_request = on_read
 
     peer = world.peer("tcp", Gathered(world, play))
@@ -246,7 +246,7 @@ def test_wrong_answers_spoil_their_own_requests_only(world: World, scheme: str) 
         assert "unit 99 answered" in str(outcomes[5])
         assert outcomes[9].code == 77
         assert failed(outcomes) == [3, 5, 7, 9]
-        assert [each for each in outcomes if isinstance(each, list)] == [
+        assert [outcome for outcome in outcomes if isinstance(outcome, list)] == [
             [at] for at in range(12) if at not in (3, 5, 7, 9)
         ]
         assert (context.statistics.late_answers, peer.connections) == (12, 1)
@@ -286,7 +286,7 @@ def test_reads_of_which_nothing_was_answered_are_sent_once_more(world: World) ->
         assert peer.connections == 4
 
 
-def test_lost_connection_fails_what_was_in_flight_and_the_rest_goes_on(world: World) -> None:
+def test_a_lost_connection_fails_only_requests_in_flight(world: World) -> None:
     peer = world.peer("tcp", closing_after(lambda: peer.connections, 10, 0, 99))
     with world.connect(peer.url, max_in_flight=4) as context:
         outcomes = context.execute_many(reads(40), return_exceptions=True)
@@ -314,7 +314,7 @@ def test_threads_share_a_context_and_batches(connect: Connect) -> None:
 
         batches = [pool.submit(many, first) for first in range(0, 500, 50)]
         singles = [pool.submit(one, address) for address in range(50)]
-        assert all(each.result() for each in batches + singles)
+        assert all(future.result() for future in batches + singles)
 
 
 def test_ctrl_c_in_a_batch_leaves_a_usable_context() -> None:

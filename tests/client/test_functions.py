@@ -165,7 +165,7 @@ def test_refusals_name_what_was_asked(plc: Any) -> None:
 @each_case(
     "function", [9, 10, 13, 14, 18, 19, 25, 40, UNKNOWN_FUNCTION, 72, 90, 100, 110, 125, 127]
 )
-def test_codes_nobody_has_are_refused_and_can_be_sent(plc: Any, function: int) -> None:
+def test_unknown_codes_are_refused_and_can_be_sent(plc: Any, function: int) -> None:
     with pytest.raises(IllegalFunction) as caught:
         plc.execute(pdu.RawRequest(function, b"\x01\x02\x03"))
     assert caught.value.function == function

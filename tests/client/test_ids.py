@@ -26,7 +26,7 @@ def test_answers_may_come_in_any_pieces(seed: int) -> None:
     chance = random.Random(seed)
     driver = Driver()
     batch = driver.ask(*range(10), one_by_one=False)
-    data = b"".join(tcp(each) for each in driver.sent)
+    data = b"".join(tcp(frame) for frame in driver.sent)
     while data:
         size = chance.randrange(1, 20)
         driver.come(data[:size])
@@ -42,11 +42,11 @@ def test_a_batch_has_as_many_in_flight_as_the_client_may(limit: int) -> None:
     driver.come(tcp(driver.sent[most // 2]))
     assert len(driver.sent) == min(most + 1, 40)
     while not batch.is_done:
-        driver.come(tcp(driver.sent[-1]), *(tcp(each) for each in driver.sent[:-1]))
+        driver.come(tcp(driver.sent[-1]), *(tcp(frame) for frame in driver.sent[:-1]))
     assert batch.outcomes == [[address] for address in range(40)]
     others = [driver.ask(address) for address in range(40)]
     assert len(driver.sent) == 40 + most
-    assert not any(each.is_done for each in others)
+    assert not any(other.is_done for other in others)
 
 
 def test_callers_take_turns() -> None:
@@ -56,10 +56,10 @@ def test_callers_take_turns() -> None:
     driver.ask(200)
     for at in range(4):
         driver.come(tcp(driver.sent[at]))
-    assert [int.from_bytes(each[8:10], "big") for each in driver.sent] == [0, 1, 2, 100, 200, 3]
+    assert [int.from_bytes(frame[8:10], "big") for frame in driver.sent] == [0, 1, 2, 100, 200, 3]
 
 
-def test_an_id_that_nobody_had_answers_nobody_and_is_shown_at_the_end() -> None:
+def test_an_answer_with_an_unknown_id_is_dropped_and_shown_at_the_end() -> None:
     driver = Driver(timeout=1)
     batch = driver.ask(1)
     stranger = tcp(driver.sent[0], number=999)
@@ -73,7 +73,7 @@ def test_an_id_that_nobody_had_answers_nobody_and_is_shown_at_the_end() -> None:
 
 
 @pytest.mark.parametrize("length", [0, 1, 255, 0xFFFF])
-def test_a_length_that_cannot_be_fails_all_and_breaks_the_connection(length: int) -> None:
+def test_an_invalid_length_fails_all_requests_and_ends_the_connection(length: int) -> None:
     driver = Driver()
     batches = [driver.ask(1), driver.ask(2)]
     driver.come(b"\0\1\0\0" + length.to_bytes(2, "big") + b"\1\3")
@@ -102,7 +102,7 @@ def test_unrequested_answers_of_64_kib_break_the_connection() -> None:
     assert len(driver.sent) == 1
 
 
-def test_a_request_that_nobody_answers_takes_the_turnaround_before_the_next_one() -> None:
+def test_the_turnaround_delay_follows_a_request_without_an_answer() -> None:
     driver = Driver(turnaround=0.1)
     silent = driver.ask(pdu.Diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY, b"\0\0"))
     other = driver.ask(5)
@@ -122,7 +122,7 @@ def test_frames_before_the_first_request_are_traced() -> None:
     driver = Driver(trace=frames.append)
     frame = bytes.fromhex("0009 0000 0005 01 03 02 0007")
     driver.come(frame)
-    assert [(each.direction, each.adu) for each in frames] == [("received", frame)]
+    assert [(frame.direction, frame.adu) for frame in frames] == [("received", frame)]
 
 
 def ids(driver: Driver) -> list[int]:

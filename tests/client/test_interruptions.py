@@ -188,7 +188,7 @@ def test_close_and_requests_in_a_finalizer_during_a_request() -> None:
                 assert context.read_holding_registers(address, 1) == [address]
             gc.collect()
             assert len(outcomes) == 100
-            assert all(each == [9] or isinstance(each, RuntimeError) for each in outcomes)
+            assert all(outcome == [9] or isinstance(outcome, RuntimeError) for outcome in outcomes)
             Finalized(context.close)
             with contextlib.suppress(ModbusConnectionError):
                 for _ in range(100):

@@ -19,8 +19,8 @@ def units(driver: Driver) -> list[int]:
 def learnt(*unit: int) -> Driver:
     """Return a line whose units have answered at once: HOLD is as short as can be."""
     driver = Driver(LINE, timeout=1)
-    for each in unit:
-        exchange(driver, 1, unit=each)
+    for entry in unit:
+        exchange(driver, 1, unit=entry)
     driver.forget()
     return driver
 
@@ -249,7 +249,7 @@ def test_a_late_answer_in_pieces_is_one_and_each_piece_puts_off_the_next_request
     assert batch.outcomes == [[6]]
 
 
-def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> None:
+def test_a_flood_on_an_idle_line_is_dropped_by_the_next_request() -> None:
     driver = Driver(LINE)
     with small_memory():
         driver.come(bytes(0x10000))
@@ -276,7 +276,7 @@ def test_unrequested_frames_are_traced(late: bytes) -> None:
     driver.come(late)
     driver.wait(1)
     driver.ask(1)  # what is no frame is traced before the next request
-    receipts = [each for each in events if each.direction == "received"]
-    assert b"".join(each.adu for each in receipts) == late
-    frames = [(each.unit, each.function) for each in receipts if each.unit is not None]
+    receipts = [event for event in events if event.direction == "received"]
+    assert b"".join(receipt.adu for receipt in receipts) == late
+    frames = [(receipt.unit, receipt.function) for receipt in receipts if receipt.unit is not None]
     assert frames == ([(1, 3)] if value(1) in late else [])

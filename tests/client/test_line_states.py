@@ -421,7 +421,7 @@ def test_a_frame_exactly_at_the_end_of_hold(frame: bytes, is_first: bool) -> Non
     assert driver.is_at_rest
 
 
-def test_doubt_goes_on_over_another_connection() -> None:
+def test_doubt_continues_over_another_connection() -> None:
     """The unit is behind the server: its late answer may come over the next connection, too."""
     driver = used()
     first = driver.ask(5)

@@ -62,7 +62,7 @@ def test_an_echo_is_logged_once_and_harms_no_read(world: World, scheme, stray, c
         assert [read(client, address) for address in range(30)] == list(range(30))
         assert client.statistics.echoes == 1
         assert client.statistics.late_answers == 0
-    messages = [each.getMessage() for each in caplog.records if each.levelno == logging.WARNING]
+    messages = [item.getMessage() for item in caplog.records if item.levelno == logging.WARNING]
     assert len(messages) == 1
     assert "local echo" in messages[0]
     assert "echo=1" in messages[0]
@@ -78,7 +78,7 @@ def test_no_echo_is_the_value_of_a_read(world: World, setting: str) -> None:
                 client.execute(request)
 
 
-def test_the_first_answer_that_is_equal_to_its_request_is_none() -> None:
+def test_the_first_answer_that_is_equal_to_its_request_is_invalid() -> None:
     for request in (COILS, BOTH):
         driver = Driver(LINE, timeout=1)
         batch = driver.ask(request)

@@ -119,7 +119,7 @@ def test_a_read_is_sent_once_more_within_its_time(world: World) -> None:
         peer.on_request = close
         with world.lasting(1.0), pytest.raises(ModbusTimeoutError):
             read(plc, 4)
-    assert [int.from_bytes(each[8:10], "big") for each in peer.requests] == [1, 2, 2, 3, 4, 4]
+    assert [int.from_bytes(request[8:10], "big") for request in peer.requests] == [1, 2, 2, 3, 4, 4]
 
 
 @pytest.mark.parametrize("case", ["a write", "no answer before", "half an answer"])

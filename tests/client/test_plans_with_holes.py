@@ -71,7 +71,7 @@ def test_a_hole_costs_ten_requests_once(world: World) -> None:
         assert device.taken() == 2
 
 
-def test_a_plan_of_nothing_is_read_whatever_is_known(world: World) -> None:
+def test_an_empty_plan_is_read_without_a_request(world: World) -> None:
     with world.client_of("tcp", Meter(7)) as plc:
         plc.read_map(POINTS, return_exceptions=True)
         assert plc.read_many(Plan([])) == plc.read_many(Plan([]), return_exceptions=True) == []
@@ -126,9 +126,9 @@ def test_a_plan_learns_for_each_device_by_itself(world: World) -> None:
         ninth.read_many(plan, return_exceptions=True)
         assert one.taken() > 2
         messages = [
-            (each.device, each.name)
+            (name.device, name.name)
             for client in (first, ninth, second)
-            for each in client.unreadable(plan)
+            for name in client.unreadable(plan)
         ]
         assert messages == [
             (f"{first.url}, unit 1", "p7"),
@@ -143,7 +143,7 @@ def test_another_client_knows_nothing(world: World) -> None:
     peer = world.peer("tcp", device)
     with world.connect(peer.url) as plc:
         plc.read_map(POINTS, return_exceptions=True)
-        assert [each.name for each in plc.unreadable(POINTS)] == ["p7"]
+        assert [name.name for name in plc.unreadable(POINTS)] == ["p7"]
     device.missing.clear()
     device.taken()
     with world.connect(peer.url) as plc:
@@ -164,7 +164,7 @@ def test_items_that_are_no_plan_are_read_as_they_are(world: World) -> None:
     device = Meter(7)
     with world.client_of("tcp", device) as plc:
         outcomes = plc.read_many([(H, at) for at in range(20)], return_exceptions=True)
-        assert all(isinstance(each, IllegalDataAddress) for each in outcomes)
+        assert all(isinstance(outcome, IllegalDataAddress) for outcome in outcomes)
         assert device.taken() == 1
 
 
@@ -174,7 +174,7 @@ def test_silence_is_no_hole(world: World) -> None:
     with world.client_of("tcp", device, timeout=0.5) as plc:
         for _ in range(3):
             results = plc.read_map(POINTS, return_exceptions=True)
-            assert all(isinstance(each, ModbusTimeoutError) for each in results.values())
+            assert all(isinstance(result, ModbusTimeoutError) for result in results.values())
             assert device.taken() == 1
 
 

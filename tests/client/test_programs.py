@@ -58,7 +58,7 @@ def run(program: str, scheme: str = "tcp") -> None:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu+tcp", "rtu"])
-def test_a_parent_hears_on_whatever_its_child_does_with_the_client(scheme: str) -> None:
+def test_a_child_does_not_disturb_the_client_of_its_parent(scheme: str) -> None:
     run(
         """
 def forget():

@@ -22,7 +22,7 @@ from tests.support.replies import BOTH, addresses, answer, exchange, refusal, re
 def test_repetitions_that_are_due_are_sent_together() -> None:
     driver = Driver(busy_retries=1)
     batches = [driver.ask(number) for number in range(3)]
-    driver.come(*[tcp(each, "83 06") for each in driver.sent])
+    driver.come(*[tcp(frame, "83 06") for frame in driver.sent])
     driver.now = 0.1
     driver.connection.tick(driver.now)
     driver.forget()
@@ -36,7 +36,7 @@ def test_repetitions_keep_the_spacing_of_requests() -> None:
     for number in range(3):
         driver.ask(number)
     driver.wait(0.5)
-    driver.come(*[tcp(each, "83 06") for each in driver.sent])
+    driver.come(*[tcp(frame, "83 06") for frame in driver.sent])
     driver.wait(2)
     assert [round(at, 3) for at in driver.times] == [0, 0.25, 0.5, 0.75, 1.0, 1.25]
 

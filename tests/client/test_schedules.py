@@ -26,7 +26,7 @@ EVENTS = st.lists(
 @pytest.mark.parametrize("url", [TCP, TCP.replace("tcp", "udp"), LINE, "rtu+tcp://192.0.2.1"])
 @given(events=EVENTS, retries=st.integers(0, 2), spacing=st.sampled_from([0.0, 0.05]))
 @settings(max_examples=150)
-def test_no_schedule_gives_a_wrong_value_leaves_anybody_waiting_or_leaks_a_slot(
+def test_no_schedule_gives_a_wrong_value_blocks_a_caller_or_leaks_a_slot(
     url: str, events: list[tuple[str, int]], retries: int, spacing: float
 ) -> None:
     """On a line no answer comes later than two timeouts after its request: who may wait so long?"""
@@ -91,7 +91,7 @@ def happen(driver: Driver, event: str, choice: int) -> None:
     }[event]()
     cut = choice % len(data)
     pieces = [data] if driver.is_udp else [data[:cut], data[cut:]]
-    pieces = [each for each in pieces if each]  # no port reads nothing
+    pieces = [piece for piece in pieces if piece]  # no port reads nothing
     if (
         is_line
         and event in ("answer", "late", "refuse", "busy")

@@ -44,11 +44,11 @@ def test_each_submitted_request_calls_on_done_once() -> None:
         ]
         await asyncio.sleep(5)
         assert sorted(indexes) == list(range(100))
-        for at, each in enumerate(submissions):
+        for at, submission in enumerate(submissions):
             if at % 12 < 10:
-                assert each.outcome == [at % 12]
+                assert submission.outcome == [at % 12]
             else:
-                assert isinstance(each.outcome, IllegalDataAddress)
+                assert isinstance(submission.outcome, IllegalDataAddress)
 
     run_client(up_to_nine, use)
 
@@ -218,4 +218,4 @@ def test_unsent_frames_are_not_traced(world: World, monkeypatch) -> None:
                 plc.read_holding_registers(5, 1)
         assert frames == []
         assert plc.read_holding_registers(5, 1) == [5]
-        assert [each.direction for each in frames] == ["sent", "received"]
+        assert [frame.direction for frame in frames] == ["sent", "received"]

@@ -126,8 +126,8 @@ def test_a_hundred_threads_and_a_close() -> None:
             futures = [pool.submit(ask, context, number) for number in range(100)]
             time.sleep(pause)
             context.close()
-            for each in futures:
-                each.result(5)
+            for future in futures:
+                future.result(5)
 
 
 @ALL
@@ -187,7 +187,7 @@ def forget(url: str) -> None:
     gc.collect()
 
 
-def test_a_forgotten_client_says_so_and_frees_its_port() -> None:
+def test_a_client_that_was_not_closed_warns_and_frees_its_port() -> None:
     with LinePeer(on_read_at("rtu")) as unit:
         for times in range(2):
             with pytest.warns(ResourceWarning, match=unit.path):

@@ -152,12 +152,12 @@ def test_a_call_without_an_argument_names_it(make: Any) -> None:
     plc = make("tcp://127.0.0.1:1")
     for name, method in methods(make).items():
         parameters = [
-            each
-            for each in inspect.signature(method).parameters.values()
-            if each.default is each.empty and each.kind is not each.VAR_KEYWORD
+            parameter
+            for parameter in inspect.signature(method).parameters.values()
+            if parameter.default is parameter.empty and parameter.kind is not parameter.VAR_KEYWORD
         ][1:]
         if parameters:
-            assert any(each.name in called(plc, name) for each in parameters), name
+            assert any(parameter.name in called(plc, name) for parameter in parameters), name
     assert called(plc, "read_coils", 0) == "count must be an integer in 1..2000, not nothing"
     assert called(plc, "read_coils", 0, 1, 2) == (
         f"{make.__name__}.read_coils() takes from 1 to 3 positional arguments but 4 were given"

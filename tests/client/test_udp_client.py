@@ -100,7 +100,7 @@ def test_of_many_in_flight_only_those_without_an_answer_time_out(world: World) -
         requests.append(request)
         if len(requests) < 4:
             return []
-        answers = [echo(each) for each in reversed(requests) if each[9] not in (5, 30)]
+        answers = [echo(request) for request in reversed(requests) if request[9] not in (5, 30)]
         requests.clear()
         return answers
 
@@ -110,13 +110,13 @@ def test_of_many_in_flight_only_those_without_an_answer_time_out(world: World) -
         world.lasting(60, more=0.02),
     ):
         outcomes = context.execute_many(reads(40), return_exceptions=True)
-    assert [at for at, each in enumerate(outcomes) if isinstance(each, ModbusError)] == [5, 30]
+    assert [at for at, item in enumerate(outcomes) if isinstance(item, ModbusError)] == [5, 30]
     assert isinstance(outcomes[5], ModbusTimeoutError)
     assert all(outcomes[at] == [at] for at in range(40) if at not in (5, 30))
     assert len(peer.requests) == 40
 
 
-def test_port_where_nobody_listens_is_a_connection_error_at_once(
+def test_a_port_without_a_listener_is_a_connection_error_at_once(
     connect: Connect, refused_port: int
 ) -> None:
     with connect(f"udp://127.0.0.1:{refused_port}", timeout=600) as context:
@@ -125,7 +125,7 @@ def test_port_where_nobody_listens_is_a_connection_error_at_once(
                 context.read_coils(0, 1)
             assert caught.value.errno == errno.ECONNREFUSED
         outcomes = context.execute_many(reads(800), return_exceptions=True)
-        assert {each.errno for each in outcomes} == {errno.ECONNREFUSED}
+        assert {outcome.errno for outcome in outcomes} == {errno.ECONNREFUSED}
 
 
 def test_port_that_comes_back_is_used_again(connect: Connect) -> None:

@@ -291,7 +291,7 @@ def test_a_hook_that_closes_ends_the_request(at: int, hook: str) -> None:
 
 
 @pytest.mark.parametrize("hook", ["on_state", "trace"])
-def test_a_hook_that_asks_is_refused_and_harms_nobody(hook: str) -> None:
+def test_a_hook_that_uses_its_client_is_refused(hook: str) -> None:
     errors: list[BaseException] = []
 
     def ask(*_: object) -> None:

@@ -122,7 +122,7 @@ def test_a_device_that_is_away_gives_reasons(wall: Wall) -> None:
     assert polls[0] == polls[2] == {"a": 7, "b": 7}
     for away in (polls[1], polls[3]):
         assert [*away] == ["a", "b"]
-        assert all(isinstance(each, ModbusTimeoutError) for each in away.values())
+        assert all(isinstance(entry, ModbusTimeoutError) for entry in away.values())
 
 
 def test_a_connection_that_is_lost_is_made_again(wall: Wall) -> None:
@@ -132,9 +132,9 @@ def test_a_connection_that_is_lost_is_made_again(wall: Wall) -> None:
     assert polls[0] == {"a": 7, "b": 7}
     assert wall.device.connections > 1
     assert all(
-        isinstance(each, ModbusConnectionError | int)
+        isinstance(value, ModbusConnectionError | int)
         for values in polls
-        for each in values.values()
+        for value in values.values()
     )
 
 

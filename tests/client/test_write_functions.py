@@ -199,7 +199,7 @@ def check(client: Any) -> None:
             client.execute(pdu.RawRequest(3, bytes.fromhex(REFUSED)[1:]))
 
 
-def test_a_damaged_answer_in_an_own_layout_is_none(connect: Connect) -> None:
+def test_a_damaged_answer_to_a_raw_request_is_no_result(connect: Connect) -> None:
     frame = rtu("01" + ANSWER)[:-1] + b"\0"
     with (
         peer_at("rtu", lambda request, write: write(frame)) as peer,

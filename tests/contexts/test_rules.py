@@ -217,7 +217,7 @@ def test_an_unplugged_adapter_is_an_error_until_it_is_back() -> None:
 
 
 @each_transport
-def test_a_closed_context_opens_again_when_it_is_told_to(transport: str) -> None:
+def test_a_closed_context_can_be_opened_again(transport: str) -> None:
     with peer_at(transport, on_read_at(transport)) as peer:
         context = context_at(peer.url)
         assert context.read_holding_registers(1, 1) == [1]

@@ -244,7 +244,7 @@ def test_a_slave_times_out_and_sees_the_end_of_its_master() -> None:
     slave.close()
 
 
-def test_a_header_that_is_none_ends_the_connection() -> None:
+def test_an_invalid_header_ends_the_connection() -> None:
     slave = TcpContext("127.0.0.1", 0)
     slave.listen()
     with socket.create_connection(("127.0.0.1", slave.port)) as master:

@@ -51,7 +51,7 @@ TOUCHES: list[tuple[pdu.Request[Any], list[Access], list[Access]]] = [
 ]
 WRITES = [request for request, writes, _ in TOUCHES if writes]
 READS = [request for request, _, reads in TOUCHES if reads]
-UNTOUCHING = [each for each in EXAMPLES if each.function in (7, 8, 11, 12, 17, 43)]
+UNTOUCHING = [example for example in EXAMPLES if example.function in (7, 8, 11, 12, 17, 43)]
 # Bodies that touch something, but not all of it exists: exception 2.
 BEYOND = [
     pdu.ReadCoils(9, 2),
@@ -135,10 +135,10 @@ class TestHooks:
     @each_case(
         ("body", "code"),
         [
-            *[(each.encode(), 2) for each in BEYOND],
-            *[(each.encode()[:-1], 3) for each, *_ in TOUCHES],
-            *[(each.encode() + b"\0", 3) for each, *_ in TOUCHES],
-            *[(each.encode()[:1], 3) for each, *_ in TOUCHES],
+            *[(request.encode(), 2) for request in BEYOND],
+            *[(request.encode()[:-1], 3) for request, *_ in TOUCHES],
+            *[(request.encode() + b"\0", 3) for request, *_ in TOUCHES],
+            *[(request.encode()[:1], 3) for request, *_ in TOUCHES],
         ],
     )
     def test_hooks_never_see_what_does_not_exist_or_is_malformed(self, body, code) -> None:

@@ -279,7 +279,7 @@ def refuse(guard: Authorization, peer: str, role: str | None = "Viewer") -> None
         guard.check(ClientRequest(role, 17, peer, 16, None, (access,)))
 
 
-def test_the_log_says_who_and_what_once_for_each_role(caplog: pytest.LogCaptureFixture) -> None:
+def test_client_and_request_are_logged_once_for_each_role(caplog: pytest.LogCaptureFixture) -> None:
     guard = Authorization(lambda asked: False)
     for port in range(51234, 51334):
         refuse(guard, f"192.0.2.7:{port}")

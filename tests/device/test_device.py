@@ -19,7 +19,7 @@ class TestWorkedExamples:
     )
     def test_answer_is_that_of_the_example(self, vector: FrameVector) -> None:
         """On a device that holds what the example's response says."""
-        (request,) = (each for each in REQUESTS if each.id == vector.request)
+        (request,) = (request for request in REQUESTS if request.id == vector.request)
         mapping = Mapping(*[65536] * 4)
         device = Device(mapping, files={3: range(20), 4: range(20)})
         fields = request.fields
@@ -42,9 +42,9 @@ class TestWorkedExamples:
                     device.files[record["file"]][record["record"] + at] = value
         assert device.answer(request.pdu) == vector.pdu
 
-    @pytest.mark.parametrize("vector", rows([each for each in EXCEPTIONS if each.request]))
+    @pytest.mark.parametrize("vector", rows([item for item in EXCEPTIONS if item.request]))
     def test_refusal_is_that_of_the_example(self, vector: FrameVector) -> None:
-        (request,) = (each for each in REQUESTS if each.id == vector.request)
+        (request,) = (request for request in REQUESTS if request.id == vector.request)
         assert Device(Mapping(0, 0, 2048, 0)).answer(request.pdu) == vector.pdu
 
 
@@ -144,7 +144,7 @@ class TestTwoDevices:
         first.server_id = pdu.ServerId(b"\7", False)
         assert identified(first, 0)[0].objects == {0: b"first"}
         assert identified(second, 0)[0].objects == {0: b"second"}
-        assert [each.answer(page(4))[3] for each in (first, second)] == [0x81, 0x83]
+        assert [device.answer(page(4))[3] for device in (first, second)] == [0x81, 0x83]
         assert second.answer(b"\x07") == b"\x07\0"
         assert diagnose(second, 2) == b"\x08\0\2\0\0"
         assert second.answer(b"\x11") == vector("own-6.13-rsp")

@@ -13,7 +13,7 @@ from tests.support.vectors import REQUESTS, RESPONSES
 
 
 def vector(name: str) -> bytes:
-    (body,) = (each.pdu for each in REQUESTS + RESPONSES if each.id == name)
+    (body,) = (request.pdu for request in REQUESTS + RESPONSES if request.id == name)
     return body
 
 

@@ -84,7 +84,7 @@ class TestIdentification:
         for number in set(range(256)) - set(IDENTITY_NUMBERS):
             assert device.answer(page(4, number)) == b"\xab\2"
 
-    def test_objects_that_cannot_be_are_refused(self, refused: Refused) -> None:
+    def test_invalid_objects_are_refused(self, refused: Refused) -> None:
         refused("wrong_objects.txt", lambda objects: Device(Mapping(), identification=objects))
 
 

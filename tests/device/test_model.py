@@ -63,7 +63,7 @@ def test_a_start_outside_the_data_is_refused(start: int) -> None:
 
 
 @pytest.mark.parametrize("unit", [-1, 256, 1 << 40])
-def test_a_unit_that_cannot_be_is_refused(unit: int) -> None:
+def test_an_invalid_unit_is_refused(unit: int) -> None:
     frame = bytes.fromhex("0001 0000 0006 01 03 0000 0001")
     with pytest.raises(ValueError, match=r"unit must be in 0\.\.255, not"):
         Device(Mapping(holding_registers=1)).answer_chunk(frame, 0, unit)

@@ -122,7 +122,7 @@ def test_hooks_get_names_and_old_values() -> None:
     device["mode"] = 4  # no hook hears of it
     assert device.answer(b"\6\0\0\0\xc8") == b"\6\0\0\0\xc8"
     assert device.answer(b"\3\0\0\0\4")[:2] == b"\3\x08"
-    accesses = [(kind, each.names, each.values, each.old_values) for kind, each in log]
+    accesses = [(kind, entry.names, entry.values, entry.old_values) for kind, entry in log]
     assert accesses == [
         ("before", ("setpoint",), (200,), (215,)),
         ("after", ("setpoint",), (200,), (215,)),
@@ -135,13 +135,13 @@ def test_old_values_without_names() -> None:
     device = Device(Mapping(coils=8), files={4: [7, 8, 9]}, after_write=accesses.append)
     device.answer(b"\x0f\0\1\0\3\1\5")
     device.answer(bytes.fromhex("15 0b 06 0004 0001 0002 0001 0002"))
-    assert [(each.names, each.values, each.old_values) for each in accesses] == [
+    assert [(access.names, access.values, access.old_values) for access in accesses] == [
         ((), (True, False, True), (False, False, False)),
         ((), (1, 2), (8, 9)),
     ]
 
 
-def test_other_threads_see_all_changes_of_an_update_or_none() -> None:
+def test_other_threads_see_an_update_as_a_whole() -> None:
     two = RegisterMap([Point("a", "holding_registers", 0), Point("b", "holding_registers", 900)])
     device = Device.of_map(two)
     torn: list[tuple[int, int]] = []

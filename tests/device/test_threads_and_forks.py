@@ -142,7 +142,7 @@ class TestLock:
             assert not end.wait(0.05)
         assert end.wait(10)
 
-    def test_owner_of_the_mapping_goes_on(self) -> None:
+    def test_the_owner_of_the_mapping_may_use_it(self) -> None:
         mapping = Mapping(4, 4, 4, 4)
         with mapping, mapping:
             mapping.coils[0] = True

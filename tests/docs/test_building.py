@@ -28,7 +28,7 @@ def loaded(name: str) -> Any:
 TEXT_FILES = (".md", ".py", ".toml", ".in", ".service", ".yml", ".cfg", ".sh")
 
 
-def test_nothing_names_an_address_that_nobody_has_made() -> None:
+def test_no_file_names_an_address_that_does_not_exist() -> None:
     """As long as pyproject.toml names no repository, there is none to link to."""
     if loaded("links").repository(ROOT):
         pytest.skip("the repository has a public address")
@@ -142,7 +142,7 @@ def test_questions_come_first_and_names_of_the_api_last(site: Path) -> None:
         "search: 'no answer' leads to api/servers/, not to troubleshooting/#lines"
     ]
     arranged = searching.arranged(INDEX, questions)
-    locations = [each["location"] for each in json.loads(arranged)["items"]]
+    locations = [load["location"] for load in json.loads(arranged)["items"]]
     assert locations == [
         *("troubleshooting/#lines", "troubleshooting/", "troubleshooting/#lines"),
         *("api/clients/#note_answer", "api/servers/"),
@@ -186,7 +186,7 @@ def test_a_terminal_is_drawn_as_it_looks_at_the_end() -> None:
     terminal = loaded("terminal")
     screen = terminal.Screen()
     screen.show(SHOWN)
-    assert ["".join(each for each, _ in row) for row in screen.rows] == ["new & red", "next"]
+    assert ["".join(entry for entry, _ in row) for row in screen.rows] == ["new & red", "next"]
     picture = terminal.picture("libmodbus-py read", screen)
     assert re.findall(r">([^<>\n]+)</text>", picture) == [
         *("$", " libmodbus-py read", "new &amp; ", "red", "next")

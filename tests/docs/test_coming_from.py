@@ -68,16 +68,16 @@ def pairs(page: str) -> Iterator[Pair]:
     before, *parts = (FOLDER / f"{page}.md").read_text().split(PAIR)
     for part in parts:
         inside, _, after = part.partition("</div>")
-        theirs, ours = (each.lexemes["source"] for each in blocks(Document(inside, page)))
+        theirs, ours = (block.lexemes["source"] for block in blocks(Document(inside, page)))
         yield Pair(before, theirs, ours)
         before = after
 
 
 def programs() -> dict[str, Pair]:
     """Return the pairs whose lines the pages count: the first of each peer."""
-    pairs_ = [each for page in (*PAIRS, "mbpoll") for each in pairs(page)]
-    counted = {match[0]: each for each in pairs_ if (match := LINES.search(each.before))}
-    return {re.findall(r"with (\w+) and", text)[0]: each for text, each in counted.items()}
+    pairs_ = [pair for page in (*PAIRS, "mbpoll") for pair in pairs(page)]
+    counted = {match[0]: pair for pair in pairs_ if (match := LINES.search(pair.before))}
+    return {re.findall(r"with (\w+) and", text)[0]: entry for text, entry in counted.items()}
 
 
 PROGRAMS = programs()
@@ -87,16 +87,16 @@ def outputs(source: str) -> list[object]:
     """The values that comments name; a value alone and a list of it are one to readers."""
     texts = [text for text in comments_of(source).values() if is_value(text)]
     values = [ast.literal_eval(text) for text in texts]
-    return [each[0] if isinstance(each, list) and len(each) == 1 else each for each in values]
+    return [value[0] if isinstance(value, list) and len(value) == 1 else value for value in values]
 
 
 @pytest.mark.parametrize("page", PAIRS)
 def test_both_sides_of_the_pairs_give_the_same(page: str) -> None:
     rows = list(pairs(page))
     assert len(rows) >= PAIRS[page]
-    for each in rows:
-        assert outputs(each.theirs)[-1] == outputs(each.ours)[-1], each.ours
-        assert "libmodbus_py" not in each.theirs
+    for row in rows:
+        assert outputs(row.theirs)[-1] == outputs(row.ours)[-1], row.ours
+        assert "libmodbus_py" not in row.theirs
 
 
 def test_each_peer_begins_with_a_program_in_both() -> None:
@@ -110,8 +110,8 @@ def test_the_lines_of_both_programs_are_counted(peer: str) -> None:
     assert counts == [int(text) for text in LINES.search(each.before).groups()]  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("peer", [each for each in PROGRAMS if each != "mbpoll"])
-def test_both_programs_print_what_they_say(peer: str, tmp_path: Path, isolated: Isolated) -> None:
+@pytest.mark.parametrize("peer", [program for program in PROGRAMS if program != "mbpoll"])
+def test_both_programs_print_the_comments(peer: str, tmp_path: Path, isolated: Isolated) -> None:
     """Each print with a comment is reached, by theirs and by ours."""
     isolated(compare_prints, peer, tmp_path)
 
@@ -187,7 +187,7 @@ def ask_as_pymodbustcp(port: int, timeout: float) -> str:
     assert client.read_holding_registers(100, 1) is None
     refused = client.last_except
     names = vars(pyModbusTCP.constants).items()
-    (name,) = [each for each, code in names if each[:3] == "MB_" and code == client.last_error]
+    (name,) = [row for row, code in names if row[:3] == "MB_" and code == client.last_error]
     client.close()
     return f"last_except {refused}" if refused else name
 
@@ -262,8 +262,8 @@ def test_errors_of_minimalmodbus_are_those_of_the_table(monkeypatch: pytest.Monk
 
 def parameters(*callables: Any) -> dict[str, Any]:
     """Return the defaults of all arguments, by name; of several with one name, the last."""
-    signatures = [inspect.signature(each).parameters for each in callables]
-    return {name: each.default for names in signatures for name, each in names.items()}
+    signatures = [inspect.signature(callable_).parameters for callable_ in callables]
+    return {name: entry.default for names in signatures for name, entry in names.items()}
 
 
 PEERS = {

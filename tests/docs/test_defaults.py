@@ -78,7 +78,7 @@ def test_the_page_has_each_option_with_its_default() -> None:
         name: row.default for name, row in ROWS.items()
     }
     for cls in (Limits, GatewayOptions, DeviceConfig, Point):
-        names = [each.name for each in fields(cls) if each.init and each.default is not MISSING]
+        names = [field.name for field in fields(cls) if field.init and field.default is not MISSING]
         assert [name for name in names if f"| `{name}` |" not in page] == []
 
 
@@ -94,8 +94,8 @@ def test_pages_that_name_an_option_with_a_number_name_its_default() -> None:
     for path in DOCS.rglob("*.md"):
         for words, option in NAMED.findall(" ".join(path.read_text().split())):
             numbers = [
-                NUMBER_WORDS[each] if each in NUMBER_WORDS else float(each)
-                for each in re.findall(r"\d+(?:\.\d+)?|\b(?:one|two|three|four|five)\b", words)
+                NUMBER_WORDS[match] if match in NUMBER_WORDS else float(match)
+                for match in re.findall(r"\d+(?:\.\d+)?|\b(?:one|two|three|four|five)\b", words)
             ]
             if option in CLIENTS and numbers:
                 assert CLIENTS[option] in numbers, f"{path.name}: {words}({option})"

@@ -19,7 +19,7 @@ NAMES = [str(path.relative_to(ROOT)) for path in DOCUMENTS]
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=NAMES)
-def test_what_a_document_says_runs(path: Path, tmp_path: Path, isolated: Isolated) -> None:
+def test_the_examples_of_a_document_run(path: Path, tmp_path: Path, isolated: Isolated) -> None:
     isolated(run_document, path, tmp_path)
 
 
@@ -62,7 +62,7 @@ REASONS = (
 )
 
 
-def test_what_is_not_run_says_why() -> None:
+def test_blocks_that_are_not_run_name_the_reason() -> None:
     reasons = [not_run(document, region) for document, region in everything()]
     assert [reason for reason in reasons if reason and not reason.startswith(REASONS)] == []
     assert len([reason for reason in reasons if reason]) <= 20

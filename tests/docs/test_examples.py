@@ -45,7 +45,7 @@ def test_a_wrong_output_is_an_error(
     assert what in str(caught.value)
 
 
-def test_a_failure_says_where(tmp_path: Path, isolated: Isolated) -> None:
+def test_a_failure_names_its_place(tmp_path: Path, isolated: Isolated) -> None:
     path = tmp_path / "lie.md"
     path.write_text("Text.\n\n```console\n$ true\n$ false\n```\n")
     with pytest.raises(AssertionError) as caught:
@@ -69,9 +69,9 @@ def test_texts_are_compared(pattern: str, text: str, fits: bool) -> None:
 
 
 def test_blocks_of_shells_are_split_into_commands() -> None:
-    console = [(each.text, each.expected) for each in of_console("$ a \\\n> b\n1\n2\n$ c &\n$ d")]
+    console = [(item.text, item.expected) for item in of_console("$ a \\\n> b\n1\n2\n$ c &\n$ d")]
     assert console == [("a b", "1\n2\n"), ("c &", ""), ("d", "")]
-    shell = [(each.text, each.expected, each.line) for each in of_sh("# x\na   # y\n\nb \\\n  c\n")]
+    shell = [(item.text, item.expected, item.line) for item in of_sh("# x\na   # y\n\nb \\\n  c\n")]
     assert shell == [("a", None, 2), ("b   c", None, 4)]
 
 

@@ -49,9 +49,9 @@ def test_the_first_block_of_a_page_runs_as_typed(
 ) -> None:
     files, block = first(path)
     source = block.lexemes["source"]
-    for text in (source, *(each.lexemes["source"] for each in files)):
-        assert [each for each in FOREIGN if each in text] == []
-    sources = {each.lexemes["file"]: str(each.lexemes["source"]) for each in files}
+    for text in (source, *(file.lexemes["source"] for file in files)):
+        assert [entry for entry in FOREIGN if entry in text] == []
+    sources = {file.lexemes["file"]: str(file.lexemes["source"]) for file in files}
     isolated(run_block, sources, block.lexemes["language"], str(source), tmp_path)
 
 

@@ -37,7 +37,7 @@ def as_bytes(form: str, text: str) -> bytes:
 
 def vector(kind: str, form: str, text: str) -> FrameVector:
     data = as_bytes(form, text)
-    return next(each for each in FRAMES if each.kind == kind and getattr(each, form) == data)
+    return next(frame for frame in FRAMES if frame.kind == kind and getattr(frame, form) == data)
 
 
 @each_case("example", frames(), ids=" ".join)
@@ -45,7 +45,7 @@ def test_a_frame_is_a_worked_example(example: ShownTable) -> None:
     assert vector(*example)
 
 
-@each_case("example", [each for each in frames() if each[1] != "pdu"], ids=" ".join)
+@each_case("example", [frame for frame in frames() if frame[1] != "pdu"], ids=" ".join)
 def test_the_package_makes_the_same_frame(example: ShownTable) -> None:
     kind, form, text = example
     row = vector(*example)
@@ -53,7 +53,7 @@ def test_the_package_makes_the_same_frame(example: ShownTable) -> None:
     framer = framing.make_framer(form, role)  # type: ignore[arg-type]
     frame = row.tcp_frame if form == "tcp" else row.frame
     assert framer.encode(frame) == as_bytes(form, text)
-    assert [(each.unit, each.pdu) for each in framer.feed(as_bytes(form, text))] == [
+    assert [(frame.unit, frame.pdu) for frame in framer.feed(as_bytes(form, text))] == [
         (row.unit, row.pdu)
     ]
 
@@ -69,4 +69,4 @@ def test_references_are_parsed_as_the_page_says() -> None:
     assert len(rows) >= 8
     for reference, table, address in rows:
         assert values.parse_reference(reference) == (table.replace(" ", "_"), int(address))
-    assert {"40108", "40123", "30009", "10102"} <= {each.reference for each in REFERENCES}
+    assert {"40108", "40123", "30009", "10102"} <= {reference.reference for reference in REFERENCES}

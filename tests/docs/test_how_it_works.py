@@ -21,7 +21,7 @@ def test_every_file_that_is_named_exists() -> None:
     assert missing == []
 
 
-def test_what_cannot_be_told_apart_has_the_names_of_the_explorer() -> None:
+def test_ambiguous_answers_have_the_names_of_the_explorer() -> None:
     part = TIMING.partition("### What cannot be told apart")[2].partition("\n## ")[0]
     names = re.findall(r"^\| ([\w ]+) \|", part, re.MULTILINE)
     assert names[1:] == [*EXCEPTIONS]

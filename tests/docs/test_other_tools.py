@@ -61,7 +61,7 @@ def test_every_word_of_ours_is_taken(tool: str) -> None:
 def test_the_session_is_the_same_with_mbpoll(tmp_path: Path, isolated: Isolated) -> None:
     """The server of the page, and then both sessions with it."""
     sources = [
-        str(each.lexemes["source"]) for each in blocks(Document(PAGE.read_text(), str(PAGE)))
+        str(block.lexemes["source"]) for block in blocks(Document(PAGE.read_text(), str(PAGE)))
     ]
     _, theirs, ours = sources[:3]
     assert "mbpoll" in theirs

@@ -24,9 +24,9 @@ URL = f"tcp://127.{64 + randrange(128)}.{randrange(256)}.{randrange(256)}:11502"
 BREAK = re.compile(r"break  # .*")
 
 LOOPS = [
-    each.lexemes["source"]
-    for each in blocks(Document(PAGE.read_text(), str(PAGE)))
-    if BREAK.search(each.lexemes["source"])
+    block.lexemes["source"]
+    for block in blocks(Document(PAGE.read_text(), str(PAGE)))
+    if BREAK.search(block.lexemes["source"])
 ]
 
 

@@ -20,7 +20,7 @@ def headings(path: Path) -> dict[str, str]:
     """Return the headings of a page: anchor -> text."""
     text = re.sub(r"(?ms)^```.*?^```$", "", path.read_text())
     heads = re.findall(r"(?m)^#+ (.+)$", text)
-    return {re.sub(r"[^a-z0-9_]+", "-", each.lower()).strip("-"): each for each in heads}
+    return {re.sub(r"[^a-z0-9_]+", "-", head.lower()).strip("-"): head for head in heads}
 
 
 def page_of(location: str) -> Path:
@@ -38,7 +38,7 @@ def index() -> str:
         for number, (anchor, text) in enumerate(headings(path).items()):
             items.append({"location": f"{page}#{anchor}" if number else page, "title": text})
     names = [{"location": f"api/x/#{words}", "title": words} for words in ASKED]
-    return json.dumps({"items": [{"path": [], **each} for each in [*names, *items]]})
+    return json.dumps({"items": [{"path": [], **entry} for entry in [*names, *items]]})
 
 
 def test_questions_are_many_and_lead_to_headings_that_exist() -> None:

@@ -24,7 +24,7 @@ ROWS = [
 
 
 def test_each_component_requirement_stands_once() -> None:
-    numbers = [each for row in ROWS for each in re.findall(r"CR (\d+\.\d+)", row[0])]
+    numbers = [match for row in ROWS for match in re.findall(r"CR (\d+\.\d+)", row[0])]
     requirements = [f"{group}.{number}" for group, all in REQUIREMENTS.items() for number in all]
     assert sorted(numbers) == sorted(requirements)
 

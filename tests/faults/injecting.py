@@ -262,7 +262,7 @@ def try_faults(
     """
     Run a scenario with every fault there is; fail with all that went wrong, each with its fault.
     """
-    begins = tuple(f"{PACKAGE}.{each}" if each else PACKAGE for each in part)
+    begins = tuple(f"{PACKAGE}.{byte}" if byte else PACKAGE for byte in part)
     problems: list[str] = []
     reached = 0
     scenario(Trial(Counting(KINDS[0], begins, 0, no_thread)))  # what is loaded once is loaded

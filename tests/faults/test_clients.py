@@ -138,7 +138,7 @@ def unblocked(url: str) -> Scenario:
 
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("kind", ["blocking", "asyncio"])
-def test_a_client_says_what_failed_and_goes_on(kind: str, place: str, tmp_path: Path) -> None:
+def test_a_client_reports_failures_and_continues(kind: str, place: str, tmp_path: Path) -> None:
     with PLACES[place](tmp_path) as url:
         scenario = unblocked(url) if kind == "asyncio" else blocking(url)
         try_faults(scenario, *PART)

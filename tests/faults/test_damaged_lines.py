@@ -45,8 +45,8 @@ def frames(framing: Framing, vector: FrameVector, pieces: list[bytes]) -> list[F
     """Return the frames that the receiving side finds in these bytes."""
     role: Role = "server" if vector.kind == "request" else "client"
     framer: Framer = RtuFramer(role) if framing == "rtu" else AsciiFramer()
-    events = [each for piece in pieces for each in framer.scan(piece)] + framer.scan_silence()
-    return [each for each in events if isinstance(each, Frame)]
+    events = [frame for piece in pieces for frame in framer.scan(piece)] + framer.scan_silence()
+    return [event for event in events if isinstance(event, Frame)]
 
 
 def test_an_injector_that_is_off_changes_nothing() -> None:

@@ -105,7 +105,7 @@ def polling(urls: list[str], file: Path) -> Scenario:
 
 
 def is_up(fleet: Fleet) -> bool:
-    return all(each.state is DeviceState.UP for each in fleet.devices.values())
+    return all(device.state is DeviceState.UP for device in fleet.devices.values())
 
 
 def test_a_fleet_outlives_errors_of_the_system(tmp_path: Path) -> None:
@@ -225,14 +225,14 @@ PLACES: dict[str, Place] = {"tcp": tcp, "udp": udp, "rtu": rtu}
 
 
 def finds(url: str) -> bool:
-    return [each.unit for each in scan(url, units=[1], timeout=1)] == [1]
+    return [unit.unit for unit in scan(url, units=[1], timeout=1)] == [1]
 
 
 def scanning(url: str) -> Scenario:
     def scenario(trial: Trial) -> None:
         with trial.faults(), scan(url, units=[1], timeout=SHORT) as units:
-            for each in units:
-                assert each.unit == 1
+            for unit in units:
+                assert unit.unit == 1
         assert eventually(lambda: finds(url))
 
     return scenario
@@ -241,7 +241,7 @@ def scanning(url: str) -> Scenario:
 def searching(url: str) -> Scenario:
     def scenario(trial: Trial) -> None:
         with trial.faults(), search(url, timeout=SHORT, most_requests=8) as extents:
-            assert {each.table for each in extents} <= set(TABLES)
+            assert {extent.table for extent in extents} <= set(TABLES)
         assert eventually(lambda: finds(url))
 
     return scenario

@@ -103,7 +103,7 @@ def gather(url: str, requests: list[Any]) -> tuple[list[Any], Any]:
 
     async def ask() -> tuple[list[Any], Any]:
         async with AsyncClient(url, unit=UNIT) as plc:
-            tasks = [plc.execute(each) for each in requests]
+            tasks = [plc.execute(request) for request in requests]
             return await asyncio.gather(*tasks, return_exceptions=True), plc.statistics
 
     return asyncio.run(ask())

@@ -41,7 +41,7 @@ from tests.support.transports import serving
 
 TRANSPORTS = tuple(FRAMERS)
 WITH_IDS = ("tcp", "udp", "tls")
-SERIAL = tuple(each for each in TRANSPORTS if each not in WITH_IDS)
+SERIAL = tuple(transport for transport in TRANSPORTS if transport not in WITH_IDS)
 # It finds the end of RTU frames by lengths that are wrong for some functions.
 NOT_RTU = (*WITH_IDS, "ascii", "ascii+tcp")
 ON_RTU = ("rtu", "rtu+tcp")
@@ -49,7 +49,7 @@ ON_RTU = ("rtu", "rtu+tcp")
 
 def over(role: str, function: int, *more: str, transports: tuple[str, ...] = TRANSPORTS) -> Any:
     """Run a test over each transport; `interop_report` finds it by the id, see `case_id`."""
-    ids = [case_id("pymodbus", role, each, function, *more) for each in transports]
+    ids = [case_id("pymodbus", role, transport, function, *more) for transport in transports]
     return pytest.mark.parametrize("transport", transports, ids=ids)
 
 
@@ -418,8 +418,8 @@ class TestWherePymodbusClientErrs:
     @pytest.mark.parametrize(
         ("transport", "ask"),
         [
-            pytest.param(each, ask, id=case_id("pymodbus", "server", each, function, "pinned"))
-            for each in ON_RTU
+            pytest.param(code, ask, id=case_id("pymodbus", "server", code, function, "pinned"))
+            for code in ON_RTU
             for function, ask in (
                 # It counts two bytes too few, and then finds no CRC.
                 (24, lambda client: client.read_fifo_queue(address=100, device_id=UNIT)),

@@ -221,10 +221,10 @@ class TestWherePymodbusServerErrs:
     @pytest.mark.parametrize(
         ("transport", "error"),
         [
-            pytest.param(each, error, id=case_id("pymodbus", "client", each, 43, word, "canopen"))
-            for each, error, word in (
-                *((each, IllegalFunction, "refused") for each in NOT_RTU),
-                *((each, ModbusTimeoutError, "pinned") for each in ON_RTU),
+            pytest.param(code, error, id=case_id("pymodbus", "client", code, 43, word, "canopen"))
+            for code, error, word in (
+                *((code, IllegalFunction, "refused") for code in NOT_RTU),
+                *((code, ModbusTimeoutError, "pinned") for code in ON_RTU),
             )
         ],
     )
@@ -278,6 +278,6 @@ def test_registers_behind_the_end_are_left_out() -> None:
             counts.append(plc.statistics.requests - before)
         good = {name: value for name, value in results.items() if isinstance(value, int)}
         assert good == {f"r{at}": holding_register(at) for at in range(first, end)}
-        assert [each.name for each in plc.unreadable(points)] == [f"r{end + at}" for at in range(3)]
+        assert [name.name for name in plc.unreadable(points)] == [f"r{end + at}" for at in range(3)]
     assert counts[0] <= 1 + 10
     assert counts[1:] == [1, 1, 1]

@@ -100,8 +100,8 @@ def test_clients_talk_with_s_server(connect: Connect, pki: Pki, version: str, ke
         connect(f"tls://127.0.0.1:{server.port}", security=own, timeout=LONG) as plc,
     ):
         future = pool.submit(answering, server, commands)
-        for each in range(len(commands)):
-            assert plc.read_holding_registers(each, 1) == [each]
+        for number in range(len(commands)):
+            assert plc.read_holding_registers(number, 1) == [number]
         future.result(LONG)
         assert plc.statistics.connects == 1
 

@@ -71,7 +71,7 @@ def ask(pki: Pki, port: int, request: Any, version: ssl.TLSVersion) -> Any:
 
 @VERSION
 @pytest.mark.parametrize(
-    "function", [pytest.param(each, id=case_id("tmodbus", "server", "tls", each)) for each in ASKED]
+    "function", [pytest.param(item, id=case_id("tmodbus", "server", "tls", item)) for item in ASKED]
 )
 def test_its_client_and_our_server_agree(pki: Pki, function: int, version: ssl.TLSVersion) -> None:
     request, result = ASKED[function]

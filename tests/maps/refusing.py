@@ -57,7 +57,7 @@ class Polls:
         self.connects = 1
 
     def ask(self, requests: list[Any]) -> list[Any]:
-        return [self.device(each) for each in requests]
+        return [self.device(request) for request in requests]
 
     def ask_strictly(self, requests: list[Any]) -> list[Any]:
         """Ask up to the first failure, as clients do; there are no outcomes behind it."""
@@ -94,7 +94,7 @@ class Polls:
 
     @property
     def unreadable(self) -> list[Any]:
-        return [each.name for each in unreadable_of(self.plan, self.refusals, "device")]
+        return [name.name for name in unreadable_of(self.plan, self.refusals, "device")]
 
 
 def singles(count: int) -> Plan:

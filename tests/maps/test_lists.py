@@ -139,7 +139,7 @@ MEANINGS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
 
 
 @each_case(("text", "options", "arguments"), MEANINGS)
-def test_an_option_says_what_is_meant(tmp_path, text, options, arguments) -> None:
+def test_an_option_resolves_the_ambiguity(tmp_path, text, options, arguments) -> None:
     (point,) = load_map(written(tmp_path, text), **options).values()
     assert {name: getattr(point, name) for name in arguments} == arguments
 
@@ -260,7 +260,7 @@ def test_merged_cells_stand_in_each_of_their_rows(tmp_path: Path) -> None:
     for cells in ("A1:A2", "B1:C1", "D1:D2", "D3:D4"):
         book.active.merge_cells(cells)
     book.save(path)
-    assert [(each.address, each.type) for each in load_map(path).values()] == [
+    assert [(point.address, point.type) for point in load_map(path).values()] == [
         (0, "int16"),
         (1, "int16"),
     ]
@@ -279,7 +279,7 @@ def test_defaults_of_a_map_in_toml(tmp_path: Path) -> None:
         '[[point]]\nname = "a"\naddress = 1\n[[point]]\nname = "b"\naddress = 3\norder = "ABCD"\n'
     )
     map: RegisterMap = load_map(tmp_path / "map.toml")
-    assert [(each.table, each.address, each.type, each.order) for each in map.values()] == [
+    assert [(point.table, point.address, point.type, point.order) for point in map.values()] == [
         ("input_registers", 0, "float32", "CDAB"),
         ("input_registers", 2, "float32", "ABCD"),
     ]

@@ -58,7 +58,7 @@ def test_times_in_any_zone_come_back(time: datetime, type: str, zone: str) -> No
     assert result == (first if is_second else time)
 
 
-def test_values_that_mean_none_are_those_of_the_registers() -> None:
+def test_a_missing_value_is_one_of_the_registers() -> None:
     point = clock("unix32", missing=0)
     assert point.judge([0, 0]) == DecodedValue(None, "bad", "Missing")
     # A device that counts the seconds of its local time.

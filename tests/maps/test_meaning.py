@@ -156,19 +156,19 @@ def test_a_float_is_the_shortest_number_that_the_device_has_as_it(bits: int) -> 
 
 
 def test_a_plan_means_the_same_as_its_points() -> None:
-    cases = [each for each in MEANT if each[0].get("table", H) == H and "scale_from" not in each[0]]
+    cases = [row for row in MEANT if row[0].get("table", H) == H and "scale_from" not in row[0]]
     points, cells = [], []
     for at, (keys, some, _) in enumerate(cases):
         points.append(point(f"p{at}", address=len(cells), **keys))
         cells += some
     plan = RegisterMap(points).plan()
-    answers = [cells[each.address : each.address + each.count] for each in plan.requests]  # type: ignore[attr-defined]
+    answers = [cells[item.address : item.address + item.count] for item in plan.requests]  # type: ignore[attr-defined]
     verdicts = {f"p{at}": judged for at, (_, _, judged) in enumerate(cases)}
     assert plan.results(answers) == {name: judged.value for name, judged in verdicts.items()}
     results = plan.results(answers, return_exceptions=True)
-    reasons = {name: each.reason for name, each in results.items() if isinstance(each, NoValue)}
-    assert reasons == {name: each.reason for name, each in verdicts.items() if each.quality == "bad"
-                       and each.value is None}  # fmt: skip
+    reasons = {name: item.reason for name, item in results.items() if isinstance(item, NoValue)}
+    assert reasons == {name: item.reason for name, item in verdicts.items() if item.quality == "bad"
+                       and item.value is None}  # fmt: skip
     assert str(results["p0"]) == "p0 has no value: the device says 65535"
 
 
@@ -187,7 +187,7 @@ SCALED = RegisterMap(
 
 def scaled(cells: list[int], names: list[str] | None = None, **options: Any) -> dict[str, Any]:
     plan = SCALED.plan(names)
-    answers = [cells[each.address : each.address + each.count] for each in plan.requests]  # type: ignore[attr-defined]
+    answers = [cells[item.address : item.address + item.count] for item in plan.requests]  # type: ignore[attr-defined]
     return plan.results(answers, **options)
 
 
@@ -202,7 +202,7 @@ def test_a_point_scales_others() -> None:
 
 def test_the_scale_is_read_along() -> None:
     plan = SCALED.plan(["far"])
-    read = [(each.address, each.count) for each in plan.requests]  # type: ignore[attr-defined]
+    read = [(item.address, item.count) for item in plan.requests]  # type: ignore[attr-defined]
     assert read == [(3, 1), (6, 2)]
     assert plan.results([[0xFFFE], [3, 200]]) == {"far": 6}
 
@@ -233,7 +233,7 @@ def test_a_factor_of_0_scales_nothing() -> None:
 
 def test_cells_are_written_with_the_scale_of_the_device() -> None:
     requests = SCALED.writes({"v": 230.5}, sources={"v_sf": -1})
-    assert [(each.address, each.value) for each in requests] == [(0, 2305)]  # type: ignore[attr-defined]
+    assert [(item.address, item.value) for item in requests] == [(0, 2305)]  # type: ignore[attr-defined]
     assert SCALED.scale_sources({"v": 230.5, "far": 1}) == ["v_sf", "ratio_of_far"]
     with pytest.raises(NoValue, match="v has no value: v_sf, which scales it, must hold a number"):
         SCALED.writes({"v": 230.5})
@@ -255,12 +255,12 @@ WRONG_SCALES = [
 
 
 @each_case(("points", "message"), WRONG_SCALES)
-def test_a_map_whose_scales_cannot_be(points: list[Point], message: str) -> None:
+def test_a_map_with_invalid_scales(points: list[Point], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         RegisterMap(points)
 
 
-def test_keys_that_cannot_be(refused: Refused) -> None:
+def test_invalid_keys(refused: Refused) -> None:
     refused("wrong_meanings.txt", lambda keys: point(**keys))
 
 
@@ -305,7 +305,7 @@ def told(request: Any) -> tuple[int, ...]:
 
 @each_case(("values", "requests"), WRITES)
 def test_parts_are_masked_or_whole(values: dict[str, Any], requests: list[tuple[int, ...]]) -> None:
-    assert [told(each) for each in PARTS.writes(values)] == requests
+    assert [told(write) for write in PARTS.writes(values)] == requests
 
 
 def test_writes_of_parts_that_are_impossible_are_refused(refused: Refused) -> None:
@@ -338,7 +338,7 @@ class Counting(Mapping[str, Point]):
     """Points by name; `looked_up` counts how often one is looked up."""
 
     def __init__(self, *points: Point) -> None:
-        self._points = {each.name: each for each in points}
+        self._points = {point.name: point for point in points}
         self.looked_up = 0
 
     def __getitem__(self, name: str) -> Point:
@@ -370,7 +370,7 @@ def test_a_long_chain_is_followed_once() -> None:
 
 def test_each_point_that_leads_back_is_named() -> None:
     mistakes = dict(scale_mistakes(chain(3, first="p1")))
-    assert {name: str(each) for name, each in mistakes.items()} == {
+    assert {name: str(mistake) for name, mistake in mistakes.items()} == {
         "p0": "p0.scale_from: leads back to a point: p0, p1, p0",
         "p1": "p1.scale_from: leads back to a point: p1, p0, p1",
         "p2": "p2.scale_from: leads back to a point: p2, p1, p0, p1",

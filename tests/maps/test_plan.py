@@ -41,8 +41,8 @@ def cell(table: str, address: int) -> Any:
 
 def spans(plan: Plan) -> list[tuple[str, range]]:
     return [
-        (TABLES[type(each)], range(each.address, each.address + each.count))  # type: ignore[attr-defined,index]
-        for each in plan.requests
+        (TABLES[type(item)], range(item.address, item.address + item.count))  # type: ignore[attr-defined,index]
+        for item in plan.requests
     ]
 
 
@@ -171,7 +171,7 @@ def test_data_that_is_no_value_takes_no_other_along() -> None:
     })  # fmt: skip
     results = plan.results([[0x00FF, 0x0012, 0xA000, 0x80FF, 0, 0, 0]])
     assert results["two"] == [12, None]
-    assert {name: (type(each), each.reason) for name, each in results.items() if name != "two"} == {
+    assert {name: (type(item), item.reason) for name, item in results.items() if name != "two"} == {
         "total": (NoValue, "InvalidData"),
         "name": (NoValue, "InvalidData"),
         "clock": (NoValue, "InvalidTime"),
@@ -204,7 +204,7 @@ BORDERED: list[Any] = [
 @each_case(("items", "borders", "requests"), BORDERED)
 def test_no_request_crosses_a_border(items, borders, requests) -> None:
     plan = Plan(items, gap=4, borders=[(H, at) for at in borders])
-    assert [(each.address, each.count) for each in plan.requests] == requests  # type: ignore[attr-defined]
+    assert [(item.address, item.count) for item in plan.requests] == requests  # type: ignore[attr-defined]
 
 
 WRONG_BORDERS: list[Any] = [
@@ -216,7 +216,7 @@ WRONG_BORDERS: list[Any] = [
 
 
 @each_case(("items", "borders", "message"), WRONG_BORDERS)
-def test_borders_that_cannot_be(items: Any, borders: Any, message: str) -> None:
+def test_invalid_borders(items: Any, borders: Any, message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         Plan(items, borders=borders)
 
@@ -229,7 +229,7 @@ def test_plans_of_a_map_keep_its_borders() -> None:
         (["p8", "p9", "p11"], [(8, 2), (11, 1)]),  # without the point that begins the block
     ):
         plan = map.plan(names, gap=4)
-        assert [(each.address, each.count) for each in plan.requests] == requests  # type: ignore[attr-defined]
+        assert [(item.address, item.count) for item in plan.requests] == requests  # type: ignore[attr-defined]
     with pytest.raises(TypeError, match="border must be true or false, not 1"):
         Point("a", H, 0, border=1)  # type: ignore[arg-type]
 
@@ -276,13 +276,13 @@ def fewest(reads: list[Read], limit: int, gap: int, forbidden: set[int], borders
 
     count = 0
     while together:
-        start = min(each[0] for each in together)
+        start = min(row[0] for row in together)
         stops = [
             stop
             for stop in range(start + 1, start + limit + 1)
             if stop - 1 in addresses and allowed(start, stop)
         ]
-        rest = [[each for each in together if each[0] < start or each[1] > stop] for stop in stops]
+        rest = [[row for row in together if row[0] < start or row[1] > stop] for stop in stops]
         together = min(rest, key=len)
         count += 1
     return count
@@ -363,7 +363,7 @@ def test_read_many_is_refused_as_a_whole_or_in_part(context: Client) -> None:
     assert isinstance(refusal, IllegalDataAddress)
 
 
-def test_gaps_are_on_the_wire() -> None:
+def test_gaps_of_plans_are_read_from_the_device() -> None:
     def three(request: bytes) -> list[bytes]:
         return [mbap(request, bytes.fromhex("03 06 0001 0002 0003"))]
 

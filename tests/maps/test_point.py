@@ -127,7 +127,7 @@ def test_a_point_has_defaults_for_its_table() -> None:
     assert not point(access="read").is_writable
 
 
-def test_a_point_that_cannot_be(refused: Refused) -> None:
+def test_an_invalid_point(refused: Refused) -> None:
     refused("wrong_points.txt", lambda keys: point(**keys))
 
 
@@ -177,7 +177,7 @@ def test_what_would_be_written_outside_the_bounds_is_refused(keys, value) -> Non
         ({"scale": 1 / 3, "minimum": 0, "maximum": 1}, 1, 3),
     ],
 )
-def test_the_bounds_themselves_are_taken(keys: dict[str, Any], value: float, raw: int) -> None:
+def test_the_bounds_themselves_are_accepted(keys: dict[str, Any], value: float, raw: int) -> None:
     assert point(**keys).encode(value) == [raw]
 
 

@@ -60,7 +60,7 @@ def test_two_runs_at_once_learn_the_same() -> None:
             except StopIteration as done:
                 answers.append(done.value)
                 del requests_of[at]
-    assert [lost(polls.plan.results(each)) for each in answers] == [[5], [5]]
+    assert [lost(polls.plan.results(answer)) for answer in answers] == [[5], [5]]
     assert polls.unreadable == [5]
     assert len(polls.news) == 1
 
@@ -82,7 +82,7 @@ def test_a_strict_reading_names_what_was_refused() -> None:
         polls = Polls(singles(40), Registers([address, 30]))
         for most in (1 + 12, 2):
             count, answers = polls.strictly()
-            (error,) = [each for each in answers if isinstance(each, ModbusError)]
+            (error,) = [answer for answer in answers if isinstance(answer, ModbusError)]
             assert error.names == (address,)
             assert str(error).startswith(f"{address}: illegal data address")
             assert count <= most
@@ -217,7 +217,7 @@ def test_a_hole_is_found_although_its_refusal_changes() -> None:
         polls = Polls(singles(20), Registers([address], then=change))
         losses = [lost(polls.poll(now)[1]) for now in range(50)]
         assert losses[-1] == polls.unreadable == [address]
-        assert all(address in each for each in losses)
+        assert all(address in loss for loss in losses)
 
 
 FAILURES = (ModbusTimeoutError, ServerDeviceBusy, InvalidResponse, IllegalDataAddress)

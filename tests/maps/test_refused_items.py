@@ -49,14 +49,14 @@ def test_items_without_a_hole_have_their_values(items, gap, missing, lost_ones, 
         for name in values.keys() - names:
             cells = plan._reads[name].cells
             assert values[name] == plan._reads[name].decode(list(cells))
-            assert any(cells[0] in each and cells[-1] in each for each in spans), "torn"
+            assert any(cells[0] in span and cells[-1] in span for span in spans), "torn"
     assert count == later
 
 
 def test_an_item_that_cannot_be_read_is_named_with_its_cells() -> None:
     polls = Polls(Plan({"v5": (H, 10, 1, "uint32")}), Registers([11]))
     polls.poll()
-    assert [str(each) for each in unreadable_of(polls.plan, polls.refusals, "device")] == [
+    assert [str(name) for name in unreadable_of(polls.plan, polls.refusals, "device")] == [
         "v5, holding_registers 10..11 (2 registers): illegal data address (exception 2)"
     ]
 
@@ -135,7 +135,7 @@ def test_short_requests_only_cost_no_point(most: int) -> None:
 def test_holes_side_by_side_are_one_range() -> None:
     polls = Polls(singles(20), Registers([3, 4, 9]))
     polls.poll()
-    assert [each.split(" (")[0] for each in polls.news] == [
+    assert [text.split(" (")[0] for text in polls.news] == [
         "3, 4, holding_registers 3..4",
         "9, holding_registers 9",
     ]

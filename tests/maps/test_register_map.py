@@ -154,7 +154,7 @@ def test_long_writes_are_cut_between_values() -> None:
         ]
     )
     values = {"head": 7, "block": [1] * 61, "tail": [2] * 100, "bits": [True] * 2000}
-    ranges = [(each.address, len(each.values)) for each in long.writes(values)]  # type: ignore[attr-defined]
+    ranges = [(item.address, len(item.values)) for item in long.writes(values)]  # type: ignore[attr-defined]
     # 123 registers at most; `tail` is longer than a request, and begins one of its own.
     assert ranges == [(0, 123), (123, 122), (245, 78), (0, 1968), (1968, 32)]
 
@@ -242,7 +242,7 @@ def test_data_that_is_no_value_takes_no_other_along(connect: Connect) -> None:
     with serving(connect, Device(Mapping(holding_registers={0: cells}))) as plc:
         assert plc.read_map(points) == {**good, "bad": None, "level": None, "clock": None}
         results = plc.read_map(points, return_exceptions=True)
-        reasons = {name: each.reason for name, each in results.items() if name not in good}
+        reasons = {name: result.reason for name, result in results.items() if name not in good}
         assert reasons == {"bad": "InvalidData", "level": "InvalidData", "clock": "InvalidTime"}
         for call, reason, text in (
             (lambda: plc.read_value(H, 4, "string:6"), "InvalidData", f"{H} 4 has no value: 56"),

@@ -49,7 +49,7 @@ TYPED: list[tuple[dict[str, Any], str, list[Any]]] = [
 
 
 @each_case(("keys", "text", "cells"), TYPED)
-def test_a_text_is_the_value_that_it_says(keys, text, cells) -> None:
+def test_a_typed_text_encodes_to_these_cells(keys, text, cells) -> None:
     point_ = point(**keys)
     assert point_.encode(typed_value(point_, text)) == cells
 

@@ -55,7 +55,7 @@ def test_sums_of_times_are_never_exact() -> None:
             times.append(at - 1e6)
         pace.done()
         at += 0.1
-    assert times == pytest.approx([60 * each for each in range(11)], abs=0.01)
+    assert times == pytest.approx([60 * number for number in range(11)], abs=0.01)
 
 
 def test_polls_that_are_left_out_count_as_time() -> None:

@@ -60,8 +60,8 @@ def unpack(name: str) -> Path:
     folder = BUILD / name
     if not (folder / "unpacked").exists():
         state, cache = folder / "state", folder / "cache"
-        for each in (state / "lists/partial", cache / "archives/partial", folder / "usr/lib"):
-            each.mkdir(parents=True, exist_ok=True)
+        for entry in (state / "lists/partial", cache / "archives/partial", folder / "usr/lib"):
+            entry.mkdir(parents=True, exist_ok=True)
         (folder / "lib").symlink_to("usr/lib")  # as Debian has it
         (state / "status").touch()  # nothing is installed
         apt = ["apt-get", "-q", "-y", "--no-install-recommends"]

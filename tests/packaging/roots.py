@@ -79,7 +79,7 @@ def why_not() -> str:
     """Return why no system can be made here, or nothing."""
     if os.geteuid():
         return "only root can make a system to try it in"
-    if missing := [each for each in PROGRAMS if shutil.which(each) is None]:
+    if missing := [program for program in PROGRAMS if shutil.which(program) is None]:
         return f"not installed: {', '.join(missing)}"
     command = ["unshare", "--mount", "--pid", "--net", "--fork", "true"]
     process = subprocess.run(command, capture_output=True, text=True)
@@ -92,7 +92,7 @@ MADE_HERE = pytest.mark.skipif(bool(reason := why_not()), reason=reason)
 def block(way: str) -> str:
     """Return the commands that the page has for a way to install."""
     blocks = re.findall(r"```sh\n(.*?)```", PAGE.read_text(), re.DOTALL)
-    (text,) = (each for each in blocks if WAYS[way] in each)
+    (text,) = (block for block in blocks if WAYS[way] in block)
     return str(text)
 
 
@@ -201,7 +201,7 @@ def test_a_block_works_in_a_new_system(release, way, request) -> None:
 @pytest.mark.timeout(LONGEST_S)
 @pytest.mark.parametrize(
     "release",
-    [pytest.param(each, id=f"{each}-other" if is_other(each) else each) for each in PYTHONS],
+    [pytest.param(item, id=f"{item}-other" if is_other(item) else item) for item in PYTHONS],
 )
 def test_quick_tests_pass_for_an_ordinary_user(release, request) -> None:
     assert re.search(r"\d{4} passed", output(release, "quick", request))

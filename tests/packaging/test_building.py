@@ -253,4 +253,4 @@ def test_the_installed_script_completes_in_bash(typed, words, tmp_path) -> None:
         ["bash", "--norc", "-c", script], env=environment, capture_output=True, text=True
     )
     assert process.stderr == ""
-    assert [each.strip() for each in process.stdout.splitlines()] == words
+    assert [line.strip() for line in process.stdout.splitlines()] == words

@@ -82,7 +82,7 @@ def test_nothing_installs_from_an_index_what_is_not_there() -> None:
     assert wrong == []
 
 
-def test_an_installation_by_name_is_told_from_one_of_a_file() -> None:
+def test_an_installation_by_name_is_distinguished_from_one_of_a_file() -> None:
     by_name = [
         f"pip install {NAME}",
         f"/opt/{NAME}/bin/pip install '{NAME}[nats]'",

@@ -256,7 +256,7 @@ def test_a_gpio_line_may_have_a_name(gpiod: Gpiod, unit: LinePeer) -> None:
         (ValueError("no line"), errno.EIO),
     ],
 )
-def test_a_gpio_line_that_cannot_be_had_fails_the_request(
+def test_a_gpio_line_in_use_fails_the_request(
     error: Exception, number: int, gpiod: Gpiod, unit: LinePeer
 ) -> None:
     gpiod.error = error

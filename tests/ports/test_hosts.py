@@ -98,7 +98,7 @@ def test_an_outage_is_logged_once_and_again_when_it_is_over(outage: Outage, capl
 def test_an_outage_lasts_until_the_port_can_be_opened(outage: Outage, caplog) -> None:
     outage.begin(GONE)
     attempts: list[Callable[[], None]] = [failing, failing, lambda: None]
-    assert [outage.try_to_end(each) for each in attempts] == [False, False, True]
+    assert [outage.try_to_end(attempt) for attempt in attempts] == [False, False, True]
     assert not outage.is_on
     assert len(caplog.messages) == 2
 

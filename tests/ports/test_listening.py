@@ -60,16 +60,16 @@ def exposing(port: int) -> Iterator[None]:
 def test_every_address_of_a_name_takes_connections(monkeypatch, port: int, listening) -> None:
     resolve(monkeypatch, "plc.example", *HERE)
     with listening(port):
-        for each in HERE:
-            with socket.create_connection((each, port), 20) as connection:
-                assert connection.getpeername() == (each, port)
+        for entry in HERE:
+            with socket.create_connection((entry, port), 20) as connection:
+                assert connection.getpeername() == (entry, port)
 
 
 def test_a_page_answers_on_every_address(monkeypatch: pytest.MonkeyPatch, port: int) -> None:
     resolve(monkeypatch, "plc.example", *HERE)
     with live_page(Server(Device(Mapping(1))), host="plc.example", port=port) as page:
-        for each in HERE:
-            with urllib.request.urlopen(page.url.replace("plc.example", each), timeout=20) as file:
+        for entry in HERE:
+            with urllib.request.urlopen(page.url.replace("plc.example", entry), timeout=20) as file:
                 assert file.status == 200
 
 
@@ -135,7 +135,7 @@ def test_a_port_that_is_taken_on_one_address_is_free_on_the_others_again(monkeyp
 
 
 @each_case("host", ["a..b", "x" * 64 + ".example"])
-def test_a_host_that_cannot_be_is_an_os_error(host: str) -> None:
+def test_an_invalid_host_is_an_os_error(host: str) -> None:
     with pytest.raises(OSError, match="it cannot be the name of a host"):
         listen_on(host, 0)
 
@@ -199,7 +199,7 @@ def test_the_first_bytes_of_each_connection_are_dropped(size: int) -> None:
         assert frames(greeting, bytes(20) + MBAP, size) == MBAP
 
 
-def test_a_frame_may_begin_behind_what_was_none() -> None:
+def test_a_frame_may_begin_behind_bytes_of_no_frame() -> None:
     greeting = Greeting(0, (HEARTBEAT,), has_header=True)
     greeting.drop(b"hello, this is no frame")
     greeting.expect_frame()

@@ -40,7 +40,7 @@ class Resolver:
 
 
 def threads() -> int:
-    return sum(each.name == "look-up" for each in threading.enumerate())
+    return sum(thread.name == "look-up" for thread in threading.enumerate())
 
 
 @pytest.fixture
@@ -129,7 +129,7 @@ def test_the_loop_has_its_own_threads_for_itself_and_ends_without_waiting(resolv
     asyncio.run(main())
     assert not resolver.release.is_set()
     assert threads() > 0
-    assert all(each.daemon for each in threading.enumerate() if each.name == "look-up")
+    assert all(thread.daemon for thread in threading.enumerate() if thread.name == "look-up")
 
 
 def test_blocking_and_asyncio_clients_share_it(resolver: Resolver, waker: Waker) -> None:

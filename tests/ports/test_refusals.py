@@ -224,7 +224,7 @@ class TestSettingsOfTheDriver:
         with failing(errno.EINVAL, "stop_bits 2 refused: the port has 1"):
             port_.open()
 
-    def test_a_port_that_refuses_says_which_rate(self, wire: SerialWire, monkeypatch) -> None:
+    def test_a_port_that_refuses_a_rate_names_it(self, wire: SerialWire, monkeypatch) -> None:
         with monkeypatch.context() as patch:
             patch.setattr(fcntl, "ioctl", raising(errno.EINVAL))
             with pytest.raises(ModbusConnectionError) as caught:
@@ -235,7 +235,9 @@ class TestSettingsOfTheDriver:
 
 
 class TestOpening:
-    def test_a_port_without_hardware_says_so(self, wire: SerialWire, monkeypatch, tmp_path) -> None:
+    def test_an_error_of_a_port_without_hardware(
+        self, wire: SerialWire, monkeypatch, tmp_path
+    ) -> None:
         """A ttyS of a kernel that lists more of them than there are: each call fails."""
 
         def refuse(descriptor: int) -> None:
@@ -248,7 +250,7 @@ class TestOpening:
         with failing(errno.EIO, "the system has no hardware for this port"):
             SerialPort(wire.client).open()
 
-    def test_an_exclusive_port_says_who_has_it(self, wire: SerialWire) -> None:
+    def test_an_error_of_an_exclusive_port_names_its_process(self, wire: SerialWire) -> None:
         """What TIOCEXCL of another program does; not to root, who may run the tests."""
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(os, "open", raising(errno.EBUSY))

@@ -153,7 +153,7 @@ def test_a_port_that_this_user_may_not_open_names_the_group(monkeypatch, wire: S
     assert caught.value.errno == errno.EACCES
 
 
-def test_a_second_client_on_a_port_is_told_of_for_unit(
+def test_an_error_of_a_second_client_on_a_port_names_for_unit(
     port: SerialPort, wire: SerialWire, tmp_path: Path
 ) -> None:
     link = tmp_path / "ttyPLC"
@@ -178,7 +178,7 @@ sys.stdin.read()
 """
 
 
-def test_a_port_of_another_program_says_so_and_is_free_when_that_ends(wire: SerialWire) -> None:
+def test_a_port_of_another_program_is_an_error_until_that_ends(wire: SerialWire) -> None:
     """That one dies without closing it, and leaves its settings."""
     holding = [sys.executable, "-c", HOLD, wire.client]
     with subprocess.Popen(holding, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:

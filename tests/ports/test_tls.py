@@ -77,7 +77,7 @@ def test_the_fault_of_a_file_is_named(pki: Pki, monkeypatch, change, text) -> No
     }
     options = {"cert": "CERT", "key": "KEY", "ca": str(pki.ca), **change}
     for name, file in files.items():
-        options = {each: str(file) if value == name else value for each, value in options.items()}
+        options = {entry: str(file) if value == name else value for entry, value in options.items()}
         text = text.replace(f"'{name}'", repr(str(file)))
     url = "tls://h?" + "&".join(f"{name}={value}" for name, value in options.items())
     with pytest.raises(ValueError, match=f"^{re.escape(text)}") as caught:
@@ -91,5 +91,5 @@ def test_the_password_is_nowhere_to_be_seen(pki: Pki, monkeypatch: pytest.Monkey
     monkeypatch.setenv("KEY_PASSWORD", SECRET)
     url = f"tls://h?cert={files.cert}&key={files.key}&ca={pki.ca}&password_env=KEY_PASSWORD"
     for plc in (Client("tls://h", security=security), Client(url)):
-        for each in (security, plc, plc.url, plc.statistics, vars(plc), plc._driver):
-            assert SECRET not in repr(each)
+        for entry in (security, plc, plc.url, plc.statistics, vars(plc), plc._driver):
+            assert SECRET not in repr(entry)

@@ -160,7 +160,7 @@ def times_in_a_child(*owners: Owner) -> list[int]:
         return list(counts.read())
 
 
-def test_a_child_abandons_each_owner_once_and_the_parent_none() -> None:
+def test_a_child_abandons_each_owner_once() -> None:
     owners = Owner(), Owner()
     for owner in owners:
         abandoned_in_children(owner)

@@ -188,7 +188,7 @@ def refused(path: str, number: int, text: str) -> None:
     assert f"cannot listen on unix://{path}" in str(caught.value)
 
 
-def test_a_path_in_use_is_refused_however_it_is_written_and_its_server_goes_on(path: str) -> None:
+def test_a_path_in_use_is_refused_however_it_is_written(path: str) -> None:
     folder, name = os.path.split(path)
     os.symlink(folder, f"{folder}/link")
     with server().background(f"unix://{path}"):
@@ -201,12 +201,12 @@ def test_a_path_in_use_is_refused_however_it_is_written_and_its_server_goes_on(p
 async def test_of_listeners_in_one_loop_one_gets_a_path(path: str) -> None:
     stale(path)
     listeners = [UnixListener(path) for _ in range(3)]
-    opening = (each.open() for each in listeners)
+    opening = (listener.open() for listener in listeners)
     listener, *others = await asyncio.gather(*opening, return_exceptions=True)
-    assert [getattr(each, "errno", 0) for each in others] == [errno.EADDRINUSE] * 2
+    assert [getattr(other, "errno", 0) for other in others] == [errno.EADDRINUSE] * 2
     assert isinstance(listener, socket.socket)
-    for each in (*listeners[1:], listener):
-        each.close()
+    for peer in (*listeners[1:], listener):
+        peer.close()
     assert os.path.exists(path)
     listeners[0].close()
     assert not os.path.exists(path)
@@ -394,8 +394,8 @@ def test_a_client_is_named_by_the_path_its_user_and_its_process(path: str) -> No
     with server_.background(f"unix://{path}"), Client(f"unix://{path}") as client:
         client.write_register(0, 5)
     name = f"{path} uid {os.getuid()} pid {os.getpid()}"
-    assert {each.peer for each in events} == {"", name}
-    assert {each.peer for each in frames} == {name}
+    assert {event.peer for event in events} == {"", name}
+    assert {frame.peer for frame in frames} == {name}
     assert host_of_peer(name) == f"{path} uid {os.getuid()}"
 
 

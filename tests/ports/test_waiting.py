@@ -78,7 +78,7 @@ def test_steps_get_what_is_ready(drive: Drive, pair: tuple[socket.socket, socket
     assert time.monotonic() - start >= 0.05
 
 
-def test_a_deadline_that_has_passed_is_none_to_wait_for(
+def test_a_wait_for_a_deadline_in_the_past_ends_at_once(
     drive: Drive, pair: tuple[socket.socket, socket.socket]
 ) -> None:
     def steps() -> Steps[bool]:
@@ -111,13 +111,13 @@ def own_name(monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def test_names_and_addresses_are_looked_up(drive: Drive, own_name: str) -> None:
-    assert [each[4] for each in drive(resolving("127.0.0.1"))] == [("127.0.0.1", 502)]
-    assert [each[4][:2] for each in drive(resolving("::1"))] == [("::1", 502)]
-    assert "127.0.0.1" in [each[4][0] for each in drive(resolving(own_name))]
+    assert [row[4] for row in drive(resolving("127.0.0.1"))] == [("127.0.0.1", 502)]
+    assert [row[4][:2] for row in drive(resolving("::1"))] == [("::1", 502)]
+    assert "127.0.0.1" in [row[4][0] for row in drive(resolving(own_name))]
 
 
 @pytest.mark.parametrize("host", ["no-such-host.invalid", "x" * 300, "a..b"])
-def test_a_name_that_nobody_has_is_an_os_error(drive: Drive, host: str) -> None:
+def test_an_unknown_host_name_is_an_os_error(drive: Drive, host: str) -> None:
     assert isinstance(drive(resolving(host)), OSError)
 
 

@@ -55,7 +55,7 @@ class TestAscii:
         frame = self.good[:-2] + end
         framer = AsciiFramer()
         assert take(framer, frame * 3)[0] + framer.silence() == [READ] * 3
-        frames = [each for byte in single_bytes(frame * 3) for each in framer.feed(byte)]
+        frames = [entry for byte in single_bytes(frame * 3) for entry in framer.feed(byte)]
         assert frames + framer.silence() == [READ] * 3
 
     def test_silence_ends_a_frame_behind_a_cr_sooner(self) -> None:

@@ -200,7 +200,7 @@ def test_every_logger_of_a_module_is_harmless() -> None:
 
 
 @pytest.mark.usefixtures("failing")
-def test_an_output_that_reports_a_failure_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_output_continues_after_a_reported_failure(capsys: pytest.CaptureFixture[str]) -> None:
     output = FakeOutput(refused=("b",))
     writer: OutputWriter = simulated_run(
         write_readings(output, [reading(device, "one") for device in "abc"])

@@ -53,7 +53,7 @@ def test_a_value_is_short_in_messages(value: object, text: str) -> None:
         ("0.123456789s", 0.123456789),
     ],
 )
-def test_a_duration_has_units_or_none(text: str, seconds: float) -> None:
+def test_a_duration_may_have_units(text: str, seconds: float) -> None:
     assert duration_of(text) == seconds
     assert type(duration_of(text)) is float
 
@@ -72,7 +72,7 @@ def test_any_other_text_is_no_duration(text: str) -> None:
         WrongType.about(("route", 3), "it is given twice"),
     ],
 )
-def test_a_mistake_survives_pickling(mistake: WrongValue | WrongType) -> None:
+def test_a_mistake_can_be_pickled(mistake: WrongValue | WrongType) -> None:
     copy = pickle.loads(pickle.dumps(mistake))
     assert type(copy) is type(mistake)
     assert (str(copy), copy.path, copy.args) == (str(mistake), mistake.path, mistake.args)

@@ -40,7 +40,7 @@ def test_an_option_is_named_by_what_other_packages_call_it(name: str, end: str) 
 
 
 def test_up_to_three_names_are_close() -> None:
-    names = [f"point_{each}" for each in "abcd"]
+    names = [f"point_{entry}" for entry in "abcd"]
     hint = close_to("point_x", names, "points.")
     assert hint.startswith("; did you mean points.point_")
     assert hint.count("points.") == 3
@@ -128,8 +128,8 @@ def rank(form: str, order: str, value: float) -> int:
     kind = NAMES[form.lower()]
     (number,) = struct.unpack(f">{form}", struct.pack(f">{form}", value))
     candidates = [
-        (each.type.removeprefix("u"), each.value)
-        for each in readings(registers_of(form, order, value))
+        (reading.type.removeprefix("u"), reading.value)
+        for reading in readings(registers_of(form, order, value))
     ]
     return candidates.index((kind, number))
 
@@ -162,6 +162,6 @@ def test_the_most_plausible_interpretation_is_the_first(registers, first) -> Non
 
 @each_case("registers", [[0x4142], [0x0102, 0x0304], [0x1234, 0x5678, 0x1111, 0x2222]])
 def test_bits_are_the_last(registers: list[int]) -> None:
-    are_bits = [each.type.startswith("bits") for each in readings(registers)]
+    are_bits = [reading.type.startswith("bits") for reading in readings(registers)]
     assert are_bits == sorted(are_bits)
     assert are_bits[-1]

@@ -21,7 +21,7 @@ def sent(setting: bool | None, *adus: bytes) -> Echo:
 
 
 def in_pieces(echo: Echo, data: bytes) -> bytes:
-    return b"".join(echo.without(bytes([each])) for each in data)
+    return b"".join(echo.without(bytes([byte])) for byte in data)
 
 
 def whole(echo: Echo, data: bytes) -> bytes:

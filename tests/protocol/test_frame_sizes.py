@@ -26,22 +26,22 @@ def test_the_longest_frame_has_the_size_that_its_framing_allows(framing, size) -
 def test_the_longest_request_arrives(framing: Framing) -> None:
     framer = make_framer(framing, "server")
     frames = framer.scan(framer.encode(Frame(1, PDU))) + framer.scan_silence()
-    assert [each[:2] for each in frames if isinstance(each, Frame)] == [(1, PDU)]
+    assert [frame[:2] for frame in frames if isinstance(frame, Frame)] == [(1, PDU)]
 
 
 def errors(framing: Framing, data: bytes) -> list[FrameError]:
     framer = make_framer(framing, "server")
     results = framer.scan(data) + framer.scan_silence()
     assert results
-    assert all(isinstance(each, FrameError) for each in results), results
-    return [each for each in results if isinstance(each, FrameError)]
+    assert all(isinstance(result, FrameError) for result in results), results
+    return [result for result in results if isinstance(result, FrameError)]
 
 
 def test_only_too_many_characters_are_an_overrun() -> None:
-    assert [each.overrun for each in errors("ascii", b":" + b"00" * 300)] == [True]
-    assert {each.overrun for each in errors("ascii", b":010300000001FF\r\n")} == {False}
-    assert {each.overrun for each in errors("ascii", b":0103zz")} == {False}
-    assert {each.overrun for each in errors("rtu", bytes.fromhex("01 03 0000 0001 ffff"))} == {
+    assert [error.overrun for error in errors("ascii", b":" + b"00" * 300)] == [True]
+    assert {error.overrun for error in errors("ascii", b":010300000001FF\r\n")} == {False}
+    assert {error.overrun for error in errors("ascii", b":0103zz")} == {False}
+    assert {error.overrun for error in errors("rtu", bytes.fromhex("01 03 0000 0001 ffff"))} == {
         False
     }
 

@@ -261,7 +261,7 @@ class TestWhateverComes:
         transaction=st.integers(0, 65535),
         sizes=cuts,
     )
-    def test_frames_survive_the_line(
+    def test_frames_are_the_same_after_the_line(
         self,
         make: Callable[[], AnyFramer],
         unit: int,
@@ -307,8 +307,8 @@ class TestWhateverComes:
         for at in range(0, len(flood), size):
             results = framer.scan(flood[at : at + size])
             assert len(results) <= 8
-            assert all(isinstance(each, FrameError) for each in results)
-            assert all(len(each.received) <= 600 for each in results)  # type: ignore[union-attr]
+            assert all(isinstance(result, FrameError) for result in results)
+            assert all(len(item.received) <= 600 for item in results)  # type: ignore[union-attr]
             assert framer.pending <= PENDING[type(framer)]
         # At most 3 us a byte, and 4 us a call; the rest is for slow and busy machines.
         assert time.process_time() - began < 1 + 40e-6 * len(flood) / size
@@ -316,7 +316,7 @@ class TestWhateverComes:
     def test_errors_are_left_out_in_one_row_only(self) -> None:
         bad, good = b":1103006B00037F\r\n", b":1103006B00037E\r\n"
         results = AsciiFramer().scan(bad * 3 + good + bad * 20 + good + bad)
-        assert [type(each) for each in results] == [
+        assert [type(result) for result in results] == [
             *[FrameError] * 3,
             Frame,
             *[FrameError] * 8,

@@ -35,7 +35,7 @@ def heard(*bursts: bytes, size: int = 999, unit: int = 1) -> FoundUnit:
 
 
 def requests(results: FoundUnit, unit: int = 1) -> list[Frame]:
-    return [each for each in results if type(each) is Frame and each.unit == unit]
+    return [result for result in results if type(result) is Frame and result.unit == unit]
 
 
 def with_data(head: str, *data: bytes) -> bytes:
@@ -71,7 +71,7 @@ def test_nothing_within_a_frame_of_others_is_a_request(name: str, size: int) -> 
     for bursts in ((ask, answer), (ask + answer,), (answer,), (ask, answer, ask, answer)):
         results = heard(*bursts, size=size)
         assert requests(results) == [], bursts
-        assert not any(isinstance(each, FrameError) for each in results), (bursts, results)
+        assert not any(isinstance(result, FrameError) for result in results), (bursts, results)
 
 
 @each_case("size", [1, 3, 999])
@@ -114,7 +114,7 @@ def test_where_a_frame_without_a_length_ends_is_not_guessed() -> None:
     assert requests(heard(both + both, READ)) == [ASKED]
 
 
-def test_an_awaited_answer_is_longer_than_the_request_that_its_first_bytes_are() -> None:
+def test_an_awaited_answer_may_begin_like_a_shorter_request() -> None:
     """Registers of unit 2 are chosen so that its answer begins with a request to unit 2."""
     begin = rtu("02 03 14 00 07 00")
     answer = with_data("", begin, WRITE, bytes(23 - len(begin) - len(WRITE)))
@@ -161,7 +161,7 @@ def test_a_request_between_noise_is_found(before: bytes, behind: bytes, size: in
     for vector in REQUESTS:
         if vector.pdu[0] in NO_LENGTH and behind.startswith(b"\0"):
             continue  # behind a CRC that fits it fits again
-        request, read = (with_data(f"{vector.unit:02X}", each) for each in (vector.pdu, READ[1:-2]))
+        request, read = (with_data(f"{vector.unit:02X}", item) for item in (vector.pdu, READ[1:-2]))
         results = heard(
             before + request + behind, before + read + behind, size=size, unit=vector.unit
         )
@@ -175,14 +175,14 @@ NO_LENGTH = (8, 43)
 @each_case("before", NOISES)
 @each_case("behind", NOISES)
 @each_case("name", AROUND)
-def test_a_request_in_a_frame_of_others_between_noise_is_none(name, before, behind) -> None:
-    ask, answer = (before + each + behind for each in AROUND[name])
+def test_bytes_in_a_frame_of_others_between_noise_are_no_request(name, before, behind) -> None:
+    ask, answer = (before + entry + behind for entry in AROUND[name])
     for bursts in ((ask, answer), (answer,)):
         assert requests(heard(*bursts)) == [], bursts
 
 
 @each_case("head", ["02 03 08", "02 01 08", "02 11 08"])
-def test_a_request_in_a_damaged_answer_of_others_is_none(head: str) -> None:
+def test_bytes_in_a_damaged_answer_of_others_are_no_request(head: str) -> None:
     answer = with_data(head, WRITE)
     for place in (3, 5, len(answer) - 1):
         frame = bytearray(answer)
@@ -211,7 +211,7 @@ def test_a_burst_with_a_right_crc_is_one_frame_of_any_length(burst, name, size) 
     assert named(heard(burst + OUR_WRITE, OURS, size=size, unit=5))[-1] == "request 5 03"
 
 
-def test_what_begins_a_longer_frame_of_others_is_none() -> None:
+def test_the_beginning_of_a_longer_frame_of_others_is_no_request() -> None:
     """Its beginning has a right CRC, by chance."""
     begin = rtu("02 03 14 00 07")
     answer = with_data("", begin, WRITE, bytes(23 - len(begin) - len(WRITE)))
@@ -224,7 +224,7 @@ def test_answers_of_others_are_no_damage(vector: FrameVector) -> None:
     assert vector.unit != 99
     framer = framer_of(99)
     results = framer.scan(vector.rtu) + framer.scan_silence()
-    assert [each[:2] for each in results if isinstance(each, Frame)] == [vector.frame[:2]]
+    assert [result[:2] for result in results if isinstance(result, Frame)] == [vector.frame[:2]]
     assert len(results) == 1
 
 
@@ -261,7 +261,7 @@ STRANGE = rtu("02 C1 01 02 03 04")
 
 
 def named(results: FoundUnit) -> list[str]:
-    return [_name(each) for each in results]
+    return [_name(result) for result in results]
 
 
 def _name(each: Frame | FrameError) -> str:

@@ -50,7 +50,7 @@ def test_the_frames_behind_are_found(role: Any, rule: Callable[[bytes], Any]) ->
     with registration(rule):
         framer = RtuFramer(role)
         results = framer.scan(OWN) + framer.scan_silence()
-        assert any(isinstance(each, FrameError) for each in results) == (role == "client")
+        assert any(isinstance(result, FrameError) for result in results) == (role == "client")
         for _ in range(2):
             results = framer.scan(good) + framer.scan_silence()
             assert results == [Frame(1, good[1:-2])]
@@ -74,7 +74,7 @@ def test_a_mistake_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
 
 
 @pytest.mark.parametrize("kind", ["server", "gateway"])
-def test_who_answers_on_a_line_goes_on(lan: Lan, kind: str) -> None:
+def test_servers_and_gateways_on_a_line_continue(lan: Lan, kind: str) -> None:
     device = Device(Mapping(holding_registers={0: [7]}))
     behind = "tcp://10.0.0.2:502" if kind == "gateway" else LINE
     with registration(_fails), Server({1: device}).background(behind):
@@ -94,7 +94,7 @@ def heard(lan: Lan) -> bytes:
     return master.heard
 
 
-def test_a_client_on_a_line_goes_on(lan: Lan) -> None:
+def test_a_client_on_a_line_continues(lan: Lan) -> None:
     """The answers to its own class are lost, and nothing else."""
     device = Device(Mapping(holding_registers={0: [7]}))
     with (

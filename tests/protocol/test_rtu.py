@@ -106,7 +106,7 @@ def test_a_frame_without_a_length_ends_where_its_crc_fits_and_frames_follow() ->
 
 
 @each_case("behind", ["4E 03 0000 0001", "4E 08 0000 7F2B", "4E 2B 0E 01 00"])
-def test_a_request_without_a_pause_is_told_from_a_loopback(behind: str) -> None:
+def test_a_request_without_a_pause_is_distinguished_from_a_loopback(behind: str) -> None:
     """The CRC of the loopback fits at several bytes."""
     loopback = rtu("4D 08 0000 7F2B")
     found = heard(loopback + rtu(behind), SILENCE)
@@ -126,7 +126,7 @@ LONG = rtu(SHORT.hex() + "01 02")
 @each_case("size", [1, 3, 999])
 @each_case("role", ["client", "listener"])
 @each_case("frames", [[SHORT], [LONG], [SHORT, LONG], [LONG, SHORT], [SHORT, SHORT]])
-def test_a_frame_that_begins_like_another_is_told_from_it(frames, role, size) -> None:
+def test_frames_with_the_same_beginning_are_distinguished(frames, role, size) -> None:
     cutter, rest = RtuCutter(role), b""
     burst = b"".join(frames)
     for at in range(0, len(burst), size):
@@ -137,7 +137,7 @@ def test_a_frame_that_begins_like_another_is_told_from_it(frames, role, size) ->
     assert count == len(burst)
 
 
-def test_a_read_and_its_answer_that_could_be_each_other_are_told_by_their_order() -> None:
+def test_ambiguous_reads_and_answers_are_distinguished_by_their_order() -> None:
     ask, answer = rtu("12 01 0300 0011"), rtu("12 01 03 00 07 01")
     assert len(ask) == len(answer)
     for pieces in ([ask, answer] * 3, [(ask + answer) * 3]):

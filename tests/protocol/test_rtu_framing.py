@@ -247,8 +247,8 @@ class TestRtu:
         assert take(framer, whole * 2) == ([Frame(17, early)] * 2, [])
         # And it is found behind garbage, which a code without a rule is not.
         results = [*framer.scan(b"\xff\xff\xff" + whole), *framer.scan_silence()]
-        assert [each for each in results if isinstance(each, Frame)] == [Frame(17, early)]
-        assert any(isinstance(each, FrameError) for each in results)
+        assert [result for result in results if isinstance(result, Frame)] == [Frame(17, early)]
+        assert any(isinstance(result, FrameError) for result in results)
 
     def test_rule_in_python_is_asked(self) -> None:
         heads: list[bytes] = []

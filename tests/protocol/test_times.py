@@ -144,6 +144,6 @@ def test_a_type_that_tells_summer_time_has_each_hour_once(hour: int) -> None:
     for day, is_summer in ((24, True), (25, hour < 1), (26, False)):
         moment = utc(2026, 10, day, hour, 30)
         registers = IEC870.encode(moment)
-        data = b"".join(each.to_bytes(2, "big") for each in registers)
+        data = b"".join(register.to_bytes(2, "big") for register in registers)
         assert data[4] == (hour + 1 + is_summer) % 24 | 0x80 * is_summer
         assert IEC870.decode(registers) == moment

@@ -73,7 +73,7 @@ def test_words_for_orders_are_understood(word: Any, order: str) -> None:
         (lambda: Plan([("coils", 0)], forbidden=[("coilz", range(3))]), "did you mean coils"),  # type: ignore[list-item]
     ],
 )
-def test_words_that_nobody_uses(make: Any, message: str) -> None:
+def test_unknown_words_are_refused(make: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
 

@@ -48,7 +48,7 @@ def test_the_fingerprint_is_that_of_openssl(tmp_path: Path) -> None:
 def named(*values: str) -> bytes:
     """A certificate with such names, which nobody has to know."""
     identity = certificates.self_signed()
-    name = x509.Name([x509.NameAttribute(NameOID.ORGANIZATION_NAME, each) for each in values])
+    name = x509.Name([x509.NameAttribute(NameOID.ORGANIZATION_NAME, value) for value in values])
     builder = x509.CertificateBuilder(
         name, name, identity.key.public_key(), 1, datetime(2024, 1, 1), datetime(2025, 1, 1)
     )

@@ -60,7 +60,7 @@ def test_a_value_is_the_former_until_the_file_is_good_again(tmp_path, caplog) ->
     assert renewed.fresh() == 2
     path.write_text("3")
     assert renewed.fresh() == 3
-    assert [each.levelno for each in caplog.records] == [
+    assert [record.levelno for record in caplog.records] == [
         logging.WARNING
     ] * 2  # once for each reason
 

@@ -86,7 +86,7 @@ def test_no_suite_is_without_encryption_or_with_an_old_hash(hello: Hello) -> Non
     """R-36, R-37, R-48, R-50 to R-55."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.set_ciphers("ALL:eNULL:@SECLEVEL=0")
-    ciphers = {each["id"] & 0xFFFF: each for each in context.get_ciphers()}
+    ciphers = {get_cipher["id"] & 0xFFFF: get_cipher for get_cipher in context.get_ciphers()}
     for suite in hello.suites - {b"\x00\xff"}:  # the indication of renegotiation (R-60)
         properties = ciphers[int.from_bytes(suite)]
         assert properties["aead"], properties
@@ -164,7 +164,7 @@ def test_anything_else_is_not_taken_for_one_record(data: bytes) -> None:
     assert records.is_midway == is_midway(data)
 
 
-def test_what_looks_like_a_record_within_another_one_is_none() -> None:
+def test_bytes_like_a_record_within_another_one_are_no_record() -> None:
     records = Records()
     records.follow(record(40)[:10])
     assert not records.follow(record(3))

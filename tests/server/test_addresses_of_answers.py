@@ -84,7 +84,7 @@ def test_a_datagram_to_all_nodes_is_answered_from_an_address_of_the_interface(de
         socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as client,
     ):
         client.settimeout(10)
-        if not any(sent(client, request, port, each) for each, _ in socket.if_nameindex()):
+        if not any(sent(client, request, port, entry) for entry, _ in socket.if_nameindex()):
             pytest.skip("no interface with a link-local address")
         data, source = client.recvfrom(1000)
         assert data == answer
@@ -99,7 +99,7 @@ def sent(client: socket.socket, request: bytes, port: int, interface: int) -> bo
     return True
 
 
-def test_empty_datagrams_say_nothing(device: Device) -> None:
+def test_empty_datagrams_are_ignored(device: Device) -> None:
     server = Server({UNIT: device})
     with served(server, "udp") as port, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         for _ in range(100):

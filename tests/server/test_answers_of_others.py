@@ -38,7 +38,7 @@ LINES = {
 """Scheme -> what makes its frames, and the rules of its transport."""
 
 each_line = pytest.mark.parametrize("scheme", LINES)
-STREAMS = [each for each, (_, rules) in LINES.items() if not rules.is_datagram]
+STREAMS = [entry for entry, (_, rules) in LINES.items() if not rules.is_datagram]
 each_stream = pytest.mark.parametrize("scheme", STREAMS)
 
 
@@ -91,7 +91,7 @@ def damaged(frame: bytes) -> bytes:
 
 
 @pytest.mark.parametrize(
-    "scheme", [each for each, (code, rules) in LINES.items() if code is rtu and not rules.is_serial]
+    "scheme", [item for item, (code, rules) in LINES.items() if code is rtu and not rules.is_serial]
 )
 def test_answers_of_others_in_one_connection_count_no_error(lan: Lan, scheme: str) -> None:
     """As a serial device server passes them on that hears its own line."""
@@ -129,7 +129,7 @@ def test_a_clean_line_with_other_units_counts_no_error(lan: Lan, pause: float) -
 
 @pytest.mark.parametrize("is_gateway", [False, True])
 @pytest.mark.parametrize(
-    ("scheme", "count"), [*((each, 1) for each in LINES), *((each, 3) for each in STREAMS)]
+    ("scheme", "count"), [*((line, 1) for line in LINES), *((stream, 3) for stream in STREAMS)]
 )
 def test_a_good_frame_that_is_no_request_is_neither_answered_nor_damage(
     lan: Lan, scheme: str, count: int, is_gateway: bool
@@ -151,8 +151,8 @@ def test_a_gateway_passes_on_no_frame_that_is_no_request(lan: Lan, scheme: str) 
     with unit_one(url, is_gateway=True) as (gateway, _), saying(lan, url) as say:
         for body, unit in itertools.product([*NO_REQUESTS, "03 0001 0001"], (0, 1, 2)):
             say(encode(f"{unit:02X} {body}"))
-        units = [each for line in gateway.traffic.lines.values() for each in line.units.values()]
-        assert [each.requests for each in units] == [1]
+        units = [unit for line in gateway.traffic.lines.values() for unit in line.units.values()]
+        assert [unit.requests for unit in units] == [1]
 
 
 @each_stream

@@ -80,8 +80,8 @@ def test_an_ipv6_client_has_one_name(transport: str, events: Events) -> None:
             client.write_register(0, 1)
         with Client(other.urls[0], unit=5, timeout=0.1) as client, pytest.raises(ModbusError):
             client.write_register(0, 1)
-    assert {each.event for each in events} == {"write", "disallowed"}
-    for peer in (*names, *(each.peer for each in events)):
+    assert {event.event for event in events} == {"write", "disallowed"}
+    for peer in (*names, *(event.peer for event in events)):
         assert peer is not None
         assert re.fullmatch(r"\[::1\]:\d+", peer)
 
@@ -96,7 +96,7 @@ def test_each_write_is_recorded_with_old_and_new_values(transport: str, events: 
         plc.write_file_records([(4, 1, (88,))])
         assert plc.read_holding_registers(0, 4) == [0x10, 20, 31, 4]
     registers = "holding_registers"
-    assert [said(each)["changes"] for each in events] == [
+    assert [said(event)["changes"] for event in events] == [
         [{"table": registers, "address": 1, "old": [2, 3], "new": [20, 30]}],
         [{"table": "coils", "address": 3, "old": [False], "new": [True]}],
         [{"table": registers, "address": 0, "old": [1], "new": [0x10]}],
@@ -120,7 +120,7 @@ def test_a_write_that_fails_and_one_that_is_not_allowed_are_recorded(events: Eve
             plc.write_coil(0, True)
         with pytest.raises(IllegalFunction):
             plc.read_holding_registers(0, 1)
-    assert [(each.event, each.function, each.result) for each in events] == [
+    assert [(event.event, event.function, event.result) for event in events] == [
         ("write", 6, "illegal data address (exception 2)"),
         ("write", 5, "illegal function (exception 1)"),
         ("refused", 3, "illegal function (exception 1)"),
@@ -159,7 +159,7 @@ def test_only_what_authorize_does_not_allow_is_recorded_as_refused(transport, ev
         for read in (plc.read_coils, plc.read_discrete_inputs, plc.read_input_registers):
             with pytest.raises(ExceptionResponse):
                 read(0, 1)
-    assert [(each.event, each.function, each.result) for each in events] == [
+    assert [(event.event, event.function, event.result) for event in events] == [
         ("refused", 1, "illegal function (exception 1)"),
         ("refused", 2, "illegal function (exception 1)"),
         ("refused", 4, "server device busy (exception 6)"),
@@ -173,14 +173,14 @@ def test_what_changes_a_device_without_an_address_is_recorded(events: Events) ->
         plc.execute(pdu.Diagnostics(pdu.SubFunction.CLEAR_COUNTERS, bytes(2)))
         with pytest.raises(IllegalFunction):
             plc.execute(pdu.RawRequest(0x2B, b"\x0d\x01\x02"))
-    assert [each.data for each in events] == ["08000a0000", "2b0d0102"]
+    assert [event.data for event in events] == ["08000a0000", "2b0d0102"]
 
 
 def test_a_broadcast_is_recorded_for_each_device(events: Events) -> None:
     with asking(Server({1: device(), 2: device()}, audit=events.append), "rtu+tcp") as line:
         line.for_unit(0).write_register(0, 9)
         assert line.for_unit(1).read_holding_registers(0, 1) == [9]
-    assert [(each.unit, each.result) for each in events] == [(0, "ok"), (0, "ok")]
+    assert [(event.unit, event.result) for event in events] == [(0, "ok"), (0, "ok")]
 
 
 def test_a_gateway_records_what_its_devices_answered(events: Events) -> None:
@@ -196,7 +196,7 @@ def test_a_gateway_records_what_its_devices_answered(events: Events) -> None:
             with pytest.raises(IllegalFunction):
                 plc.write_coil(0, True)
             plc.read_holding_registers(0, 1)
-    results = [(each.function, each.result, said(each)["changes"][0]["new"]) for each in events]
+    results = [(event.function, event.result, said(event)["changes"][0]["new"]) for event in events]
     assert results == [
         (6, "ok", [9]),
         (22, "ok", []),
@@ -233,14 +233,14 @@ def test_the_life_of_a_server_and_of_a_client_with_a_certificate_are_recorded(
                 return len(events) >= 4
 
             until(is_refused)
-    assert [(each.event, each.result, each.role) for each in events[:4]] == [
+    assert [(event.event, event.result, event.role) for event in events[:4]] == [
         ("logon", "ok", "Operator"),
         ("write", "ok", "Operator"),
         ("ended", "certificate revoked", "Operator"),
         ("handshake", "certificate revoked", None),
     ]
-    assert {identity_fields(each) for each in events} == {certificate_fields(operator)}
-    assert [(each.event, each.result) for each in events.own] == [
+    assert {identity_fields(event) for event in events} == {certificate_fields(operator)}
+    assert [(future.event, future.result) for future in events.own] == [
         ("start", url),
         ("renewed", url),
         ("stop", url),
@@ -259,7 +259,7 @@ def test_a_peer_from_another_network_is_recorded_once_a_minute(transport, events
             ):
                 plc.read_coils(0, 1)
         until(lambda: server.statistics.disallowed >= 3)
-    assert [(each.event, each.result) for each in events] == [
+    assert [(event.event, event.result) for event in events] == [
         ("disallowed", "not in an allowed network")
     ]
 
@@ -296,10 +296,10 @@ def test_writes_are_refused_while_a_required_trail_fails(kind, caplog) -> None:
             assert plc.read_holding_registers(0, 1) == [8]
             trail.fails = False
             plc.write_register(0, 10)
-    values = [(each.changes[0].access.values, each.result) for each in trail.taken]
+    values = [(future.changes[0].access.values, future.result) for future in trail.taken]
     failure = "server device failure (exception 4)"
     assert values == [((8,), "ok"), ((9,), failure), ((9,), failure), ((10,), "ok")]
-    assert [each for each in caplog.messages if "audit" in each] == [
+    assert [message for message in caplog.messages if "audit" in message] == [
         "audit: OSError: [Errno 28] No space left on device",
         "audit: events are recorded again; 0 were lost",
     ]
@@ -370,7 +370,7 @@ def test_no_write_is_carried_out_that_a_required_file_cannot_record(
             with pytest.raises(ServerDeviceFailure):
                 plc.write_register(0, value)
         assert device_.mapping.holding_registers[0] == 8
-        assert [reason in each for each in caplog.messages if "audit" in each] == [True]
+        assert [reason in message for message in caplog.messages if "audit" in message] == [True]
         monkeypatch.undo()
         if trouble is refuse_to_open:
             with pytest.raises(IsADirectoryError):
@@ -383,8 +383,8 @@ def test_no_write_is_carried_out_that_a_required_file_cannot_record(
         file.reopen()
         plc.write_register(0, 12)
     file.close()
-    values = [each["changes"][0]["new"][0] for each in lines(path) if each["event"] == "write"]
-    assert [each for each in values if each not in (8, 11)] == [9, 10, 12]
+    values = [line["changes"][0]["new"][0] for line in lines(path) if line["event"] == "write"]
+    assert [value for value in values if value not in (8, 11)] == [9, 10, 12]
 
 
 def test_what_is_no_function_is_refused() -> None:
@@ -417,7 +417,7 @@ def test_a_renamed_file_is_left_when_it_is_opened_again(tmp_path: Path) -> None:
         file.check()
     assert path.read_text() == "{}\n"
     file.close()
-    assert [each["result"] for each in lines(tmp_path / "audit.json.1")] == ["one"]
+    assert [line["result"] for line in lines(tmp_path / "audit.json.1")] == ["one"]
 
 
 def test_a_full_disk_fails(tmp_path: Path) -> None:
@@ -465,7 +465,7 @@ LINE = '{"time": "2026-11-29T12:00:00Z", "event": "write", "peer": "here", "resu
 
 
 @each_case("text", ["", "\n", LINE, f"\n{LINE}", LINE[:60]])
-def test_an_audit_trail_goes_on(tmp_path: Path, text: str) -> None:
+def test_an_audit_trail_is_continued(tmp_path: Path, text: str) -> None:
     path = tmp_path / "audit.jsonl"
     path.write_text(text)
     for result in ("one", "two"):

@@ -187,12 +187,12 @@ def test_two_threads_may_leave_the_block_at_once() -> None:
     background = Server(Device(Mapping())).background(*URLS)
     background.__enter__()
     threads = [threading.Thread(target=background.__exit__) for _ in range(2)]
-    for each in threads:
-        each.start()
+    for thread in threads:
+        thread.start()
     background.__exit__()
-    for each in threads:
-        each.join(PATIENCE)
-        assert not each.is_alive()
+    for thread in threads:
+        thread.join(PATIENCE)
+        assert not thread.is_alive()
     assert is_left(before)
 
 

@@ -75,7 +75,7 @@ def test_c_and_python_answer_single_requests_alike(pairs: list[tuple[bytes, int]
             end.receive(request, is_last=end is ends[-1])
         answers = [bytes(end.sent) for end in ends]
         tallies = [end.statistics for end in ends]
-        totals = [sum(each.requests for each in tallies), sum(each.refused for each in tallies)]
+        totals = [sum(tally.requests for tally in tallies), sum(tally.refused for tally in tallies)]
         tables = [contents(device) for device in devices.values()]
         states.append((answers, totals, tables, [notes(device) for device in devices.values()]))
     assert states[0] == states[1]
@@ -100,7 +100,7 @@ def test_holes_are_answered_with_exception_2_and_stay_as_they_are(body: bytes) -
     everything = Device(Mapping(65536, 65536, 65536, 65536))
     devices = [make_device(HOLES), make_device(HOLES, before_write=lambda access: None)]
     table = getattr(devices[0].mapping, TABLE_OF.get(body[0], "holding_registers"))
-    exists = {address for each in table.ranges for address in each}
+    exists = {address for range_ in table.ranges for address in range_}
     good = not everything.answer(body)[0] & 0x80
     for device in devices:
         before = contents(device)

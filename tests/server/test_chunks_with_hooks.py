@@ -174,7 +174,7 @@ def test_hooks_get_the_same_of_single_requests(
             end.receive(adu(body, number), is_last=end is ends[-1])
         answers = [bytes(end.sent) for end in ends]
         tallies = [end.statistics for end in ends]
-        totals = [sum(each.requests for each in tallies), sum(each.refused for each in tallies)]
+        totals = [sum(tally.requests for tally in tallies), sum(tally.refused for tally in tallies)]
         states.append((answers, totals, contents(device), notes(device), calls))
     assert states[0] == states[1]
 
@@ -190,7 +190,7 @@ def is_wanted(where: Any, access: Access) -> bool:
         place = where.get(access.table, [])
         addresses = range(access.address, access.address + access.count)
     ranges = [place] if isinstance(place, range) else place
-    return any(address in each for each in ranges for address in addresses)
+    return any(address in range_ for range_ in ranges for address in addresses)
 
 
 @settings(max_examples=60)
@@ -211,7 +211,7 @@ def test_hooks_get_accesses_to_their_places(stream: bytes, ranges: dict[str, Any
         end = End({1: make_device(SMALL, **hooks)}, "chunk")
         end.receive(stream)
         calls.append(events)
-    assert calls[0] == [each for each in calls[1] if is_wanted(ranges[each[0]], each[1])]
+    assert calls[0] == [call for call in calls[1] if is_wanted(ranges[call[0]], call[1])]
 
 
 def is_answered_in_c(device: Device, body: bytes, monkeypatch: pytest.MonkeyPatch) -> bool:
@@ -361,5 +361,5 @@ def test_a_hook_may_give_its_device_another_mapping(connections: int) -> None:
     device = Device(Mapping(holding_registers={0: range(10)}), before_write=hook)
     read, far, write = b"\3" + in_words(1, 1), b"\3" + in_words(5, 1), b"\6" + in_words(9, 5)
     requests = [adu(body, number) for number, body in enumerate([read, far, write, read, far])]
-    answers = [each[7:] for each in in_one_turn({1: device}, requests, connections)]
+    answers = [request[7:] for request in in_one_turn({1: device}, requests, connections)]
     assert answers == [b"\3\2\0\1", b"\3\2\0\5", b"\x86\2", b"\3\2\0\x33", b"\x83\2"]

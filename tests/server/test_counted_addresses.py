@@ -91,7 +91,7 @@ async def test_half_open_handshakes_of_one_address_take_no_place_of_another(
     other = begin("192.0.2.2:1000")
     assert not innocent.is_closed
     assert not other.is_closed
-    assert [each.is_closed for each in crowd] == [True] * 22 + [False] * 8
+    assert [peer.is_closed for peer in crowd] == [True] * 22 + [False] * 8
     assert statistics.closed_for_others == 22
     for session in sessions:
         session.close()

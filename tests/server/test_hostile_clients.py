@@ -42,7 +42,7 @@ LYING = [
 
 
 @pytest.mark.parametrize("body", LYING, ids=lambda body: body[:8].hex())
-def test_a_wrong_length_changes_nothing_and_hurts_nobody(port: int, device: Device, body) -> None:
+def test_a_wrong_length_has_no_effect_on_other_clients(port: int, device: Device, body) -> None:
     before = contents(device)
     with connect(port) as liar, Client(f"tcp://127.0.0.1:{port}", unit=17) as innocent:
         liar.sendall(adu(body) + adu(READ, 2))
@@ -61,7 +61,7 @@ def contents(device: Device) -> tuple[list[int], list[bool]]:
 
 
 @pytest.mark.parametrize("length", [0, 1, 255, 65535])
-def test_a_length_that_cannot_be_closes_the_connection(port: int, length: int) -> None:
+def test_an_invalid_length_closes_the_connection(port: int, length: int) -> None:
     with connect(port) as liar, Client(f"tcp://127.0.0.1:{port}", unit=17) as innocent:
         innocent.connect()
         ask(liar, adu(READ, 1) + adu(READ, 2, length=length), adu(READ_ANSWER, 1))
@@ -136,7 +136,7 @@ def enough(attack: Attack) -> Attack:
 @pytest.mark.parametrize(
     "attack", [*map(enough, ATTACKS)], ids=lambda attack: attack.name.replace(" ", "-")
 )
-def test_an_innocent_client_waits_for_few_of_the_others(lan: Lan, attack, tmp_path) -> None:
+def test_a_client_waits_for_few_requests_of_a_flood(lan: Lan, attack, tmp_path) -> None:
     """The innocent speaks TCP; an attack on TLS meets another endpoint of the same server."""
     server = Server(
         {UNIT: Device(Mapping(holding_registers=2000))},

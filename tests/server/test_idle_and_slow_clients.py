@@ -107,9 +107,9 @@ def test_idle_clients_are_closed(lan: Lan, kind: str, idle_timeout: float) -> No
         while len(ends) < 2:
             ask(busy)
             lan.pass_time(idle_timeout / 20)
-            for each in (stranger, idle):
-                if each.has_input():
-                    ends.setdefault(each, lan.now - start)
+            for peer in (stranger, idle):
+                if peer.has_input():
+                    ends.setdefault(peer, lan.now - start)
         late = look + idle_timeout / 20 + 0.01
         assert idle_timeout / 2 - 0.01 <= ends[stranger] <= idle_timeout / 2 + late
         assert idle_timeout - 0.01 <= ends[idle] <= idle_timeout + late
@@ -119,7 +119,7 @@ def test_idle_clients_are_closed(lan: Lan, kind: str, idle_timeout: float) -> No
         assert server.counts(connections=1, closed_idle=2)
 
 
-def test_idle_clients_stay_where_no_limit_says_otherwise(lan: Lan) -> None:
+def test_idle_clients_stay_connected_without_a_limit(lan: Lan) -> None:
     with server_on(lan, idle_timeout=None) as server:
         idle, stranger = server.connect(), server.connect()
         ask(idle)

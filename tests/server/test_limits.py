@@ -54,7 +54,7 @@ def test_an_address_may_have_a_tenth_of_all_connections(most: int, of_address: i
     assert Limits(max_connections=most, connections_per_address=3).connections_of_address() == 3
 
 
-def test_a_limit_that_cannot_be_is_named(refused: Refused) -> None:
+def test_an_invalid_limit_is_named(refused: Refused) -> None:
     refused("wrong_limits.txt", lambda limit: Limits(**limit))
 
 
@@ -158,7 +158,7 @@ def test_serve_has_an_option_for_each_limit(capsys: pytest.CaptureFixture[str]) 
     assert stop.value.code == 0
     output = capsys.readouterr().out
     limits = [
-        f"--{each.name.replace('_', '-')}" for each in dataclasses.fields(Limits) if each.init
+        f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(Limits) if field.init
     ]
     assert [name for name in limits if name not in output] == []
 

@@ -74,7 +74,7 @@ def presenting(
         options = {}
         if revoked:
             path = pki.files(certificates.server()).cert.with_name("crl.pem")
-            path.write_bytes(certificates.revocation_list(*(each() for each in revoked)))
+            path.write_bytes(certificates.revocation_list(*(serial() for serial in revoked)))
             options["crl"] = path
         with greeting(lan, pki, **options) as port:
             for _ in range(TIMES):
@@ -145,7 +145,7 @@ def test_trouble_is_a_line_and_then_a_line_a_minute(lan: Lan, pki: Pki, trouble,
     assert re.match(r"(10|127)\.[\d.]+:\d+[:,] ", line)
     assert text in line
     lines = caplog.messages[1:]
-    assert all("since the last line like this" in each for each in lines)
+    assert all("since the last line like this" in line for line in lines)
     assert len(lines) == 1
     rows = re.findall(r"^`(.+?)` \| (?!\*)", TABLE, re.MULTILINE)
     assert any(re.fullmatch(re.escape(row).replace("…", ".*"), line) for row in rows)

@@ -132,7 +132,7 @@ def test_closed_connections_leave_no_byte_in_the_server(lan: Lan, kind, work) ->
     def allocated() -> int:
         gc.collect()
         figures = tracemalloc.take_snapshot().filter_traces(package).statistics("filename")
-        return sum(each.count for each in figures)
+        return sum(figure.count for figure in figures)
 
     with server_on(lan, kind) as server:
         work(server, 60)

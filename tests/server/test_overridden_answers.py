@@ -65,9 +65,9 @@ def test_an_overridden_answer_is_called_in_a_chunk(options: dict[str, Any], unit
         Server({1: device}).background("tcp://127.0.0.1:0") as running,
         connect(running.urls[0]) as peer,
     ):
-        peer.sendall(b"".join(adu(each, at, unit) for at, each in enumerate(requests)))
-        answers = [REFUSAL if each == WRITE else bytes.fromhex("03 02 0000") for each in requests]
-        response = b"".join(adu(each, at, unit) for at, each in enumerate(answers))
+        peer.sendall(b"".join(adu(request, at, unit) for at, request in enumerate(requests)))
+        answers = [REFUSAL if item == WRITE else bytes.fromhex("03 02 0000") for item in requests]
+        response = b"".join(adu(answer, at, unit) for at, answer in enumerate(answers))
         assert receive(peer, len(response)) == response
     assert device.mapping.holding_registers[1] == 0
 
@@ -100,7 +100,7 @@ def test_devices_that_override_answer_behind_a_gateway_and_beside_others() -> No
     assert plain.mapping.holding_registers[1] == 7
 
 
-def test_a_device_with_another_answer_says_that_none_is_in_c() -> None:
+def test_a_device_with_an_own_answer_has_no_functions_in_c() -> None:
     device = Refusing(Mapping(holding_registers=4))
     assert device.in_c == frozenset()
     assert device.answer_chunk(adu(READ_ONE), 0, 1) == (0, b"", 0, 0)

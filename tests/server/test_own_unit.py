@@ -48,7 +48,7 @@ def asked(peer: socket.socket, pieces: list[bytes]) -> dict[int, int | bytes]:
     bodies: dict[int, int | bytes] = {}
     framer = TcpFramer()
     while 999 not in bodies:
-        for number, body in ((each.transaction, each.pdu) for each in framer.feed(peer.recv(2000))):
+        for number, body in ((item.transaction, item.pdu) for item in framer.feed(peer.recv(2000))):
             bodies[number] = body if body[0] & 0x80 else int.from_bytes(body[2:], "big")
     return bodies
 
@@ -97,7 +97,7 @@ def test_devices_that_have_these_units_are_asked_themselves(scheme: str) -> None
         (holding(7), 1, ValueError, "one device answers every unit"),
     ],
 )
-def test_units_that_the_server_cannot_be(devices, unit, error, message) -> None:
+def test_invalid_own_units_of_a_server(devices, unit, error, message) -> None:
     with pytest.raises(error, match=message):
         Server(devices, own_unit=unit)
 
@@ -183,7 +183,7 @@ def test_messages_of_other_units_are_ignored(scheme: str) -> None:
 
 
 @both
-def test_a_message_that_cannot_be_answered_is_one(scheme: str) -> None:
+def test_function_codes_from_128_count_as_messages(scheme: str) -> None:
     """Function codes from 128 on; on lines, too."""
     with (
         Server(holding(7)).background(f"{scheme}://127.0.0.1:0") as running,

@@ -37,7 +37,7 @@ def test_one_by_one_requests_take_their_time(lan: Lan, kind: str, rate: float) -
 
 
 @KIND
-def test_requests_sent_at_once_wait_and_none_is_lost(lan: Lan, kind: str) -> None:
+def test_requests_sent_at_once_wait_and_all_are_answered(lan: Lan, kind: str) -> None:
     """For longer than a frame may take, and one of them is cut where reading stopped."""
     count = 300
     with server_on(lan, kind, requests_per_second=100, frame_timeout=0.2) as server:
@@ -57,7 +57,7 @@ def test_requests_sent_at_once_wait_and_none_is_lost(lan: Lan, kind: str) -> Non
 
 def peers_in_memory() -> int:
     gc.collect()
-    return sum(isinstance(each, Peer) for each in gc.get_objects())
+    return sum(isinstance(get_object, Peer) for get_object in gc.get_objects())
 
 
 @KIND

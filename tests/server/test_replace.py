@@ -160,7 +160,7 @@ def test_notes_about_a_line_stay_with_their_unit(transport: str) -> None:
         assert count(pdu.SubFunction.SERVER_MESSAGE_COUNT) > 5
 
 
-def test_a_hook_may_replace_what_calls_it() -> None:
+def test_a_hook_may_replace_the_devices_of_its_server() -> None:
     """In the middle of a chunk: what is asked behind it sees the new ones, in order."""
 
     def swap(_: object) -> None:
@@ -214,7 +214,7 @@ def test_replaced_again_and_again_while_a_hundred_clients_read(lan: Lan) -> None
         assert values == set(range(15))
         assert lan.until(lambda: server.statistics.connections == 0)
     gc.collect()
-    assert sum(isinstance(each, Device) for each in gc.get_objects()) < 15
+    assert sum(isinstance(get_object, Device) for get_object in gc.get_objects()) < 15
 
 
 def test_replacing_while_a_server_ends_is_harmless() -> None:

@@ -12,7 +12,7 @@ from tests.support.names import NEEDS_IPV6
 KIND = pytest.mark.parametrize("kind", OVER_TCP)
 
 
-def test_as_many_connections_as_descriptors_leave() -> None:
+def test_connections_are_limited_by_free_descriptors() -> None:
     with descriptor_limit(200):
         assert 1 <= Limits().connections() < 200
     with descriptor_limit(20):

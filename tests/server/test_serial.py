@@ -55,7 +55,7 @@ def test_requests_between_noise_are_carried_out_once_each(lan: Lan, is_gateway: 
                 lan.pass_time(0.001)
                 assert lan.now < started + 0.1, (before, behind)
             lan.pass_time(0.002)
-            assert [each.values for each in writes[number - 1 :]] == [(number, 3)]
+            assert [write.values for write in writes[number - 1 :]] == [(number, 3)]
         assert server.statistics.requests == len(NOISES) ** 2
 
 
@@ -86,7 +86,7 @@ def test_ascii_frames_that_end_with_one_byte_are_taken(lan: Lan, end: bytes) -> 
     for at, pdu in enumerate(["01 03 0000 0001", "01 03 02 0007"] * 2):
         exchanges += separator.feed(ascii_frame(pdu, end), at * 0.2)
         exchanges += separator.tick(at * 0.2 + 0.15)
-    assert [each.kind for each in exchanges] == ["answered"] * 2
+    assert [exchange.kind for exchange in exchanges] == ["answered"] * 2
 
 
 def is_answered(context: Client) -> bool:

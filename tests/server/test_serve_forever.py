@@ -87,7 +87,7 @@ def read(url: str) -> list[int]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_signals_end_it_well_whatever_clients_do(number: signal.Signals) -> None:
+def test_signals_end_a_server_in_order_whatever_clients_do(number: signal.Signals) -> None:
     with program(PLAIN) as (process, url), socket.socket() as half_way:
         assert process.stderr is not None
         second = process.stderr.readline()

@@ -139,7 +139,7 @@ def counts(before: str) -> list[int]:
     """Return how much is frozen: before, and while and after each of two servers serves."""
     program = [sys.executable, "-c", PROGRAM.format(before=before)]
     process = subprocess.run(program, capture_output=True, text=True, check=True)
-    return [int(each) for each in process.stdout.split()]
+    return [int(word) for word in process.stdout.split()]
 
 
 def test_serve_forever_unfreezes_what_it_froze() -> None:

@@ -74,7 +74,7 @@ def test_a_listener_hears_whole_frames() -> None:
             exchanges += separator.feed(bytes([byte]), at)
         at += 0.3
         exchanges += separator.tick(at)
-    assert [(each.kind, each.function) for each in exchanges] == [("answered", 16), ("answered", 3)]
+    assert [(item.kind, item.function) for item in exchanges] == [("answered", 16), ("answered", 3)]
 
 
 @pytest.mark.parametrize("is_async", [False, True])

@@ -87,7 +87,7 @@ def after_a_write(folder: Path) -> None:
     close(file)
 
 
-def test_written_values_survive_a_restart_and_nothing_else_is_kept(folder: Path) -> None:
+def test_only_written_values_are_kept_over_a_restart(folder: Path) -> None:
     after_a_write(folder)
     assert json.loads((folder / "state").read_text()) == {
         "libmodbus-py": "state",
@@ -132,7 +132,7 @@ def test_values_of_another_device_are_refused(change, message, folder: Path) -> 
     first = {unit: list(device.mapping.holding_registers) for unit, device in units.items()}
     with pytest.raises(ValueError, match=message):
         kept(folder, units)
-    assert first == {unit: list(each.mapping.holding_registers) for unit, each in units.items()}
+    assert first == {unit: list(entry.mapping.holding_registers) for unit, entry in units.items()}
     assert (folder / "state").read_bytes() == before
     close(kept(folder, plant(folder)))  # and the lock is free
 
@@ -289,7 +289,7 @@ def registers() -> Device:
     return Device(Mapping(holding_registers=200))
 
 
-def test_the_values_of_a_server_survive(folder: Path) -> None:
+def test_the_values_of_a_server_are_kept(folder: Path) -> None:
     path = folder / "state"
     for value in (0, 7):
         units = {1: registers(), 2: registers()}
@@ -342,7 +342,7 @@ def test_a_wrong_file_is_refused_before_the_server_starts(name, message, wrong_f
         pytest.fail("it serves")
 
 
-def test_a_folder_that_goes_is_a_line_and_the_server_goes_on(folder: Path, caplog) -> None:
+def test_a_deleted_folder_is_logged_and_the_server_continues(folder: Path, caplog) -> None:
     place = folder / "place"
     place.mkdir()
     device = registers()

@@ -219,16 +219,16 @@ def test_a_bad_certificate_is_refused(
     assert statistics.requests == 0
     assert roles == []
     lan.pass_time(61)
-    loud = [each for each in caplog.records if each.levelno > logging.INFO]
-    assert [each.levelno for each in loud] == [logging.WARNING] * 2
+    loud = [record for record in caplog.records if record.levelno > logging.INFO]
+    assert [record.levelno for record in loud] == [logging.WARNING] * 2
     for peer, record in zip(peers, loud, strict=True):
         assert record.getMessage().startswith(f"{peer}: ")
     message = loud[-1].getMessage()
-    assert any(each in message for each in reasons.split("|")), message
-    assert [(each.event, identity_fields(each)) for each in events] == [
+    assert any(word in message for word in reasons.split("|")), message
+    assert [(event.event, identity_fields(event)) for event in events] == [
         ("handshake", certificate_fields(identity))
     ] * 2
-    assert any(each in events[-1].result for each in reasons.split("|"))
+    assert any(word in events[-1].result for word in reasons.split("|"))
     if alert is None:  # OpenSSL keeps to itself whose it was that it refused
         assert message.endswith(f"SHA-256 {digest(identity)}")
 

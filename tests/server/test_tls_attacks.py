@@ -114,7 +114,7 @@ def test_a_hello_with_anything_in_it_does_no_harm(lan: Lan, pki: Pki, caplog) ->
 
 def test_resets_at_any_time_leave_nothing(pki: Pki, caplog: pytest.LogCaptureFixture) -> None:
     first = hello(pki)
-    contexts = [context(pki, certificates.client(), each) for each in VERSIONS.values()]
+    contexts = [context(pki, certificates.client(), version) for version in VERSIONS.values()]
     with nothing_loud(caplog), serving(pki) as (server, port):
         is_served(pki, port)
         assert wait_until(lambda: server.statistics.connections == 0)
@@ -300,11 +300,11 @@ def test_a_server_that_ends_leaves_no_handshake(pki: Pki, caplog: pytest.LogCapt
                     for client in clients:
                         client.send(ONE)
                     sockets = [stack.enter_context(connect(port)) for _ in range(60)]
-                    for each in sockets:
-                        each.sendall(first)
+                    for socket in sockets:
+                        socket.sendall(first)
                     time.sleep(pause)
-                for each in sockets:
-                    closed(each)
+                for socket in sockets:
+                    closed(socket)
                 for client in clients:
                     while client.read():
                         pass

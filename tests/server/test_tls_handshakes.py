@@ -74,7 +74,7 @@ def test_the_oldest_half_open_connection_makes_room(lan: Lan, pki: Pki, monkeypa
             clients.append(stack.enter_context(lan.client(port)))
             clients[-1].sendall(first)
             assert clients[-1].recv(100)  # in their order
-        assert [bool(still_open(each)) for each in clients] == [False] * 3 + [True] * 5
+        assert [bool(still_open(client)) for client in clients] == [False] * 3 + [True] * 5
         assert server.statistics.closed_for_others == 3
         # Connected is not half open: it has no state of TLS.
         silent = [stack.enter_context(lan.client(port)) for _ in range(8)]

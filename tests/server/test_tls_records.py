@@ -87,8 +87,8 @@ def test_records_read_together_are_carried_out_in_order(
     pdus = ("06 0000 0005", "03 0000 0001", "06 0000 0006", "03 0000 0001")
     answers = ("06 0000 0005", "03 02 0005", "06 0000 0006", "03 02 0006")
     requests, response = (
-        b"".join(adu(bytes.fromhex(pdu), number) for number, pdu in enumerate(each))
-        for each in (pdus, answers)
+        b"".join(adu(bytes.fromhex(pdu), number) for number, pdu in enumerate(answer))
+        for answer in (pdus, answers)
     )
     edges = [0, *cuts, len(requests)]
     pieces = [requests[start:end] for start, end in itertools.pairwise(edges)]

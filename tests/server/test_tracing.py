@@ -61,7 +61,7 @@ def connected(
 
 
 def said(frames: list[TracedFrame]) -> list[tuple[str, bytes]]:
-    return [(each.direction, each.adu) for each in frames]
+    return [(frame.direction, frame.adu) for frame in frames]
 
 
 FRAMED: dict[str, Callable[[str], bytes]] = {
@@ -90,8 +90,8 @@ def test_frames_are_traced_as_they_are_on_the_wire(scheme: str) -> None:
         ("received", beyond),
         ("sent", refusal),
     ]
-    assert [(each.unit, each.function) for each in frames] == [(17, 3)] * 3 + [(17, 0x83)]
-    assert {(each.endpoint, each.peer) for each in frames} == {(url, here)}
+    assert [(frame.unit, frame.function) for frame in frames] == [(17, 3)] * 3 + [(17, 0x83)]
+    assert {(frame.endpoint, frame.peer) for frame in frames} == {(url, here)}
     assert all(one.time <= other.time for one, other in pairwise(frames))
     assert before <= frames[0].time <= time.time()
 
@@ -104,7 +104,7 @@ def test_a_serial_port_is_traced_with_its_name(scheme: str) -> None:
         client = Client(f"{scheme}://{wire.client}?baudrate=115200", unit=17)
         with Server({17: made_device()}, trace=frames.append).background(url), client as plc:
             assert plc.read_holding_registers(0, 2) == [7, 8]
-    assert [(each.direction, each.peer) for each in frames] == [
+    assert [(frame.direction, frame.peer) for frame in frames] == [
         ("received", wire.server),
         ("sent", wire.server),
     ]
@@ -115,7 +115,7 @@ def test_a_trace_of_tls_shows_plain_frames(pki: Pki) -> None:
     server = Server({17: made_device()}, trace=frames.append)
     with secured(server, pki) as url, Client(url, unit=17) as plc:
         assert plc.read_holding_registers(0, 2) == [7, 8]
-    assert [each.adu[6:] for each in frames] == [READ[6:], ANSWER[6:]]
+    assert [frame.adu[6:] for frame in frames] == [READ[6:], ANSWER[6:]]
 
 
 @pytest.mark.parametrize("faults", [{}, {17: [Fault("delay", seconds=0.001, every=10**6)]}])
@@ -153,7 +153,7 @@ def test_a_spoilt_answer_is_traced_as_sent_and_the_next_one_whole(fault, spoilt)
         ask(one, READ, ANSWER)
         ask(one, READ, b"".join(adu for adu, _ in spoilt))
         ask(one, READ, ANSWER)
-    answers = [(each.adu, each.unit) for each in frames if each.direction == "sent"]
+    answers = [(frame.adu, frame.unit) for frame in frames if frame.direction == "sent"]
     assert answers == [(ANSWER, 17), *spoilt, (ANSWER, 17)]
     assert frames[-1].function == 3
 
@@ -166,9 +166,9 @@ def test_a_delayed_answer_is_traced_when_it_is_sent(lan: Lan) -> None:
     with server.background("tcp://10.0.0.1:0") as running, lan.client(running.urls[0]) as talker:
         talker.send(READ + READ)
         lan.pass_time(5)
-        assert [each.direction for each in frames] == ["received"] * 2
+        assert [frame.direction for frame in frames] == ["received"] * 2
         lan.pass_time(10)
-        assert [each.direction for each in frames] == ["received"] * 2 + ["sent"]
+        assert [frame.direction for frame in frames] == ["received"] * 2 + ["sent"]
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def test_bytes_that_are_no_frame_are_traced(scheme: str, noise: bytes) -> None:
         if scheme != "udp":
             connection.shutdown(socket.SHUT_WR)
         until(lambda: frames)
-    assert [(each.adu, each.unit, each.function) for each in frames] == [(noise, None, None)]
+    assert [(frame.adu, frame.unit, frame.function) for frame in frames] == [(noise, None, None)]
 
 
 def test_silence_ends_what_began_on_a_line() -> None:
@@ -211,29 +211,29 @@ def test_another_end_of_ascii_frames_is_followed() -> None:
         ask(one, read[:-1] + b";", answer[:-1] + b";")
         ask(one, restart[:-1] + b";", restart[:-1] + b";")
         ask(one, read, answer)
-    assert [each.adu[-1:] for each in frames] == [b"\n"] * 2 + [b";"] * 4 + [b"\n"] * 2
-    assert {each.unit for each in frames} == {17}
+    assert [frame.adu[-1:] for frame in frames] == [b"\n"] * 2 + [b";"] * 4 + [b"\n"] * 2
+    assert {frame.unit for frame in frames} == {17}
 
 
-def test_a_gateway_tells_what_its_clients_say() -> None:
+def test_a_gateway_traces_frames_of_its_clients() -> None:
     frames: list[TracedFrame] = []
     with Server({5: made_device()}).background("tcp://127.0.0.1:0") as behind:
         gateway = Gateway([Route(behind.urls[0], "17", 5)], trace=frames.append)
         with gateway.background("tcp://127.0.0.1:0") as running, connect(running.urls[0]) as one:
             ask(one, READ, ANSWER)
     assert said(frames) == [("received", READ), ("sent", ANSWER)]
-    assert {each.endpoint for each in frames} == set(running.urls)
+    assert {frame.endpoint for frame in frames} == set(running.urls)
 
 
 def test_the_logger_has_the_same(caplog: pytest.LogCaptureFixture) -> None:
     with connected(None) as (one, url):
         ask(one, READ, ANSWER)
-        assert not [each for each in caplog.records if each.name == "libmodbus_py.wire"]
+        assert not [record for record in caplog.records if record.name == "libmodbus_py.wire"]
         caplog.set_level(logging.DEBUG, "libmodbus_py.wire")
         with connect(url) as another:
             here = "{}:{}".format(*another.getsockname())
             ask(another, READ, ANSWER)
-    lines = [each.getMessage() for each in caplog.records if each.name == "libmodbus_py.wire"]
+    lines = [record.getMessage() for record in caplog.records if record.name == "libmodbus_py.wire"]
     assert lines == [
         f"{url} {here} < unit 17, function 3: {READ.hex(' ')}",
         f"{url} {here} > unit 17, function 3: {ANSWER.hex(' ')}",
@@ -268,7 +268,7 @@ def test_a_trace_that_fails_costs_no_answer_and_is_logged_once(error, caplog) ->
         for _ in range(3):
             with connect(url) as one:
                 ask(one, READ * 5, ANSWER * 5)
-    assert [each.getMessage().endswith("this is logged once") for each in caplog.records] == [True]
+    assert [item.getMessage().endswith("this is logged once") for item in caplog.records] == [True]
 
 
 @pytest.mark.parametrize("direction", ["received", "sent"])
@@ -293,7 +293,7 @@ def test_a_slow_trace_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
 
     with connected(slow) as (one, _):
         ask(one, READ, ANSWER)
-    assert [each.getMessage()[:6] for each in caplog.records] == ["trace "]
+    assert [record.getMessage()[:6] for record in caplog.records] == ["trace "]
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
@@ -338,7 +338,7 @@ def test_answers_of_hooks_and_of_c_are_traced() -> None:
     with connected(frames.append, units=units) as (one, _):
         ask(one, READ, ANSWER)
         ask(one, READ[:6] + b"\x12" + READ[7:], ANSWER[:6] + b"\x12" + ANSWER[7:])
-    assert [each.unit for each in frames] == [17, 17, 18, 18]
+    assert [frame.unit for frame in frames] == [17, 17, 18, 18]
 
 
 HERE = "tcp://127.0.0.1:0"

@@ -29,7 +29,7 @@ OTHER_MACHINES = ("192.0.2.1", "2001:db8::1", "::ffff:192.0.2.1")
 @pytest.mark.parametrize(
     "url", ["udp://127.0.0.1:0", pytest.param("udp://[::1]:0", marks=NEEDS_IPV6)]
 )
-def test_answers_go_to_who_asked_with_the_transaction_of_the_request(url, device: Device) -> None:
+def test_answers_go_to_the_sender_with_the_id_of_the_request(url, device: Device) -> None:
     other, other_answer = bytes.fromhex("03 0066 0002"), bytes.fromhex("03 04 03ea 03eb")
     server = Server({UNIT: device})
     with (
@@ -229,7 +229,7 @@ async def test_however_many_sources_are_forged_little_is_remembered(monkeypatch)
 
     def remembered(kind: type) -> int:
         gc.collect()
-        return sum(isinstance(each, kind) for each in gc.get_objects())
+        return sum(isinstance(get_object, kind) for get_object in gc.get_objects())
 
     sources = Sources(Limits(), ServerStatistics())
     before = remembered(Address), remembered(Allowance)

@@ -42,7 +42,7 @@ def test_unauthorized_requests_are_not_executed(transport: str) -> None:
         for request in REQUEST_OBJECTS:
             with pytest.raises(IllegalFunction):
                 plc.execute(request)
-    assert [asked.function for asked in requests] == [each.function for each in REQUEST_OBJECTS]
+    assert [asked.function for asked in requests] == [item.function for item in REQUEST_OBJECTS]
     role = "Operator" if transport == "tls" else None
     assert {(asked.unit, asked.role) for asked in requests} == {(17, role)}
     assert all(asked.peer for asked in requests)
@@ -156,7 +156,7 @@ def test_a_refusal_over_tls_names_the_role(pki: Pki, role: str | None, role_text
             assert str(caught.value).endswith(f"illegal function (exception 1){end}")
 
 
-def test_roles_of_one_turn_are_kept_apart(pki: Pki) -> None:
+def test_requests_of_several_roles_at_once_are_decided_separately(pki: Pki) -> None:
     """Requests that come alone are answered together."""
     is_blocked, goes_on = threading.Event(), threading.Event()
 
@@ -177,9 +177,9 @@ def test_roles_of_one_turn_are_kept_apart(pki: Pki) -> None:
         )
         busy.send(adu(b"\x11"))
         assert is_blocked.wait(PATIENCE)
-        for each in clients:
-            each.send(write)
+        for entry in clients:
+            entry.send(write)
         goes_on.set()
-        answers = [each.receive(9)[7:] for each in clients]
+        answers = [client.receive(9)[7:] for client in clients]
     assert answers == [write[7:9] if role == "Engineer" else b"\x86\x01" for role in roles]
     assert (server.statistics.requests, server.statistics.unauthorized) == (6, 3)

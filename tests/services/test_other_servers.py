@@ -100,7 +100,7 @@ def test_a_token_in_a_query_is_refused_and_not_shown(scheme, take, setting) -> N
 def test_a_login_on_the_command_line(tmp_path: Path, command: tuple[str, ...], url: str) -> None:
     file = tmp_path / "fleet.toml"
     file.write_text(FLEET.format(output=""))
-    words = [str(file) if each == "FILE" else each for each in command]
+    words = [str(file) if word == "FILE" else word for word in command]
     result = run(*words, url)
     output = result.out + result.err
     assert result.code == 2

@@ -46,10 +46,10 @@ def test_hosts_and_their_clients_take_turns(queue_text: str, turns: str) -> None
 def test_one_client_fills_its_own_queue_only_and_all_have_a_bound() -> None:
     queue: FairQueue[LineRequest] = FairQueue(2, 3)
     a0, a1, a2, b0, x0 = requests("a0 a1 a2 b0 x0")
-    assert [queue.put(each) for each in (a0, a1, a2, b0, x0)] == [True, True, False, True, False]
+    assert [queue.put(entry) for entry in (a0, a1, a2, b0, x0)] == [True, True, False, True, False]
     assert queue.remove(a1)
     assert not queue.remove(a1)
-    assert [queue.put(each) for each in (a2, x0)] == [True, False]
+    assert [queue.put(entry) for entry in (a2, x0)] == [True, False]
     assert order(queue) == "a0 b0 a2"
 
 

@@ -111,16 +111,16 @@ def _find_all() -> int:
     """Break one rule after the other; each must be found in time."""
     missed = 0
     print("| rule taken out | found after | seed | by the rule |\n|---|--:|--:|---|")
-    for each in BREAKS:
+    for break_ in BREAKS:
         start = time.process_time()
-        failure = find(each, seconds=PATIENCE)
+        failure = find(break_, seconds=PATIENCE)
         took = time.process_time() - start
         if failure is None:
             missed += 1
-            print(f"| {each.rule} | not within {PATIENCE:g} s | | |", flush=True)
+            print(f"| {break_.rule} | not within {PATIENCE:g} s | | |", flush=True)
         else:
             print(
-                f"| {each.rule} | {took:.2f} s | {failure.options.seed} | {failure.rule} |",
+                f"| {break_.rule} | {took:.2f} s | {failure.options.seed} | {failure.rule} |",
                 flush=True,
             )
     return int(missed > 0)

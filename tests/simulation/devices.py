@@ -190,7 +190,7 @@ class Host:
                 data = b""
             if not data:
                 end.close()
-                self._ends = [each for each in self._ends if not each.is_closed]
+                self._ends = [end for end in self._ends if not end.is_closed]
                 return
             buffer += data
         size = 12 if self._has_header else 8  # of both requests that a unit knows
@@ -217,7 +217,7 @@ class Host:
         if end.is_closed:
             return
         pause = self._events.random.uniform(0, 0.01)
-        end.carriage = lambda data: [(DELAY + pause * at, each) for at, each in enumerate(pieces)]
+        end.carriage = lambda data: [(DELAY + pause * at, piece) for at, piece in enumerate(pieces)]
         try:
             end.send(b"".join(pieces))
         except OSError:

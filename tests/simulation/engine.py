@@ -182,7 +182,7 @@ class Engine:
             reply(js_errors.NotFoundError(code=404, err_code=10059, description="no stream"))
             return
         consumer = _Consumer(link, subscription)
-        self._consumers = [each for each in self._consumers if not each.subscription.is_over]
+        self._consumers = [item for item in self._consumers if not item.subscription.is_over]
         self._consumers.append(consumer)
         # Which of the two is first is not promised.
         if self.events.random.random() < 0.5:
@@ -198,7 +198,7 @@ class Engine:
         reply(SimpleNamespace(state=SimpleNamespace(subjects=subjects or None)))
 
     def end_consumer(self, reply: Reply, subscription: Subscription) -> None:
-        self._consumers = [each for each in self._consumers if each.subscription != subscription]
+        self._consumers = [item for item in self._consumers if item.subscription != subscription]
         reply(None)
 
     def stream_info(self, reply: Reply) -> None:
@@ -232,7 +232,7 @@ class Engine:
         self._subscribers.append((link, pattern, subscription))
 
     def unsubscribe(self, subscription: Subscription) -> None:
-        self._subscribers = [each for each in self._subscribers if each[2] is not subscription]
+        self._subscribers = [item for item in self._subscribers if item[2] is not subscription]
 
     def publish(self, message: Message) -> None:
         """Hand a message to whoever has subscribed to its subject."""
@@ -244,24 +244,24 @@ class Engine:
 
     def connection_lost(self, link: Link) -> None:
         """Forget what a client subscribed to; its consumers wait for it for a while."""
-        self._subscribers = [each for each in self._subscribers if each[0] is not link]
+        self._subscribers = [item for item in self._subscribers if item[0] is not link]
 
     def connected_again(self, link: Link) -> None:
         # What its client gave up while it was away is of interest to nobody.
-        self._consumers = [each for each in self._consumers if not each.subscription.is_over]
+        self._consumers = [item for item in self._consumers if not item.subscription.is_over]
         for consumer in self._consumers:
             if consumer.link is link:
                 self._feed(consumer)
 
     def disconnect(self, link: Link) -> None:
         self.connection_lost(link)
-        self._consumers = [each for each in self._consumers if each.link is not link]
+        self._consumers = [consumer for consumer in self._consumers if consumer.link is not link]
         if link in self._links:
             self._links.remove(link)
 
     def _unread(self, consumer: _Consumer) -> list[Change]:
         entries = (self.latest or {}).values()
-        changes = [each for each in entries if consumer.position < each.revision <= self.served]
+        changes = [entry for entry in entries if consumer.position < entry.revision <= self.served]
         return sorted(changes, key=lambda each: each.revision)
 
     def _feed(self, consumer: _Consumer) -> None:

@@ -81,10 +81,10 @@ class Plant:
         return [unit for at, unit, _ in self.asked if at >= since]
 
     def times(self, unit: int) -> list[float]:
-        return [at for at, each, _ in self.asked if each == unit]
+        return [at for at, request, _ in self.asked if request == unit]
 
     def taken(self, unit: int = 1) -> int:
         """Return the number of requests to a unit since the last call, and forget them."""
         count = len(self.times(unit))
-        self.asked = [each for each in self.asked if each[1] != unit]
+        self.asked = [request for request in self.asked if request[1] != unit]
         return count

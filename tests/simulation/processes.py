@@ -55,14 +55,14 @@ class Process:
         """Let it run again: first what has arrived for it, then what became due."""
         self.is_stopped = False
         calls, self._held_descriptors = self._held_descriptors, []
-        for each in calls:
-            each()
+        for entry in calls:
+            entry()
         (loop or asyncio.get_running_loop()).call_soon(self._release)
 
     def _release(self) -> None:
         calls, self._held = self._held, []
-        for each in calls:
-            each()
+        for entry in calls:
+            entry()
 
     def hold(self, call: Callable[[], object]) -> None:
         """Call a function when the process continues."""

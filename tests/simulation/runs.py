@@ -90,7 +90,7 @@ class Failure:
 def seed_options() -> list[Options]:
     """Return the runs that failed once, oldest first."""
     seeds = json.loads(Path(__file__).with_name("seeds.json").read_text())
-    return [Options(**{**each["run"], "faults": tuple(each["run"]["faults"])}) for each in seeds]
+    return [Options(**{**seed["run"], "faults": tuple(seed["run"]["faults"])}) for seed in seeds]
 
 
 def play(options: Options) -> World:
@@ -131,7 +131,7 @@ def shortest_options(failure: Failure, seconds: float = 10.0) -> Failure:
 
 def _smaller(options: Options) -> Iterator[Options]:
     for fault in options.faults:
-        yield replace(options, faults=tuple(each for each in options.faults if each != fault))
+        yield replace(options, faults=tuple(entry for entry in options.faults if entry != fault))
     for name in ("clients", "units"):
         number = getattr(options, name)
         if number > 1:

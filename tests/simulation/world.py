@@ -82,7 +82,7 @@ class World:
     def unit(self, number: int, faults: set[str], timeout: float) -> Unit:
         """Make a unit; most have some of the faults, each its own."""
         share = FEW if len(faults & PROBABILITIES.keys()) > 2 else MOST
-        has = [each for each in PROBABILITIES if each in faults and self.random.random() < share]
+        has = [item for item in PROBABILITIES if item in faults and self.random.random() < share]
         behaviour = Behaviour(
             delay=(0.0005, self.random.choice([0.002, 0.02])),
             lateness=1.8 * timeout,

@@ -90,8 +90,8 @@ def revocation_list(
     builder = x509.CertificateRevocationListBuilder().issuer_name(issuer.certificate.subject)
     builder = builder.last_update(begin)
     builder = builder.next_update(datetime.now(UTC) + timedelta(days=days))
-    for each in revoked:
-        entry = x509.RevokedCertificateBuilder().serial_number(each.certificate.serial_number)
+    for serial in revoked:
+        entry = x509.RevokedCertificateBuilder().serial_number(serial.certificate.serial_number)
         builder = builder.add_revoked_certificate(entry.revocation_date(begin).build())
     return builder.sign(issuer.key, hashes.SHA256()).public_bytes(Encoding.PEM)
 
@@ -119,7 +119,7 @@ def with_roles(
     """
     role = x509.ObjectIdentifier(ROLE_OID)
     roles = [encode_role(value) if isinstance(value, str) else value for value in values]
-    added = [x509.UnrecognizedExtension(role, each) for each in roles]
+    added = [x509.UnrecognizedExtension(role, entry) for entry in roles]
     return _signed_anew(identity, *added, without=role, issuer=issuer)
 
 
@@ -138,7 +138,7 @@ def _signed_anew(
         public_key=identity.key.public_key(),
         serial_number=x509.random_serial_number(),
         # add_extension would refuse a second one.
-        extensions=[*extensions, *(x509.Extension(each.oid, False, each) for each in added)],
+        extensions=[*extensions, *(x509.Extension(entry.oid, False, entry) for entry in added)],
     )
     begin = datetime.now(UTC) - timedelta(hours=1)
     builder = builder.not_valid_before(begin).not_valid_after(begin + timedelta(days=1))

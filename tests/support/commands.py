@@ -74,7 +74,7 @@ def run(
         contextlib.redirect_stderr(errors),
     ):
         try:
-            code = main([str(each) for each in arguments])
+            code = main([str(argument) for argument in arguments])
         except SystemExit as run_forked:
             code = int(run_forked.code or 0)
     return Result(code, printed.text(), errors.text())
@@ -163,7 +163,7 @@ class Started:
         new_session: bool = False,
     ) -> None:
         request = {
-            "arguments": [str(each) for each in arguments],
+            "arguments": [str(argument) for argument in arguments],
             "environment": {**os.environ, **(environment or {})},
             "folder": str(folder or Path.cwd()),
             "new_session": new_session,

@@ -134,7 +134,7 @@ class Driver:
         }
         return Batch(
             unit,
-            [read(each) if isinstance(each, int) else each for each in requests],
+            [read(request) if isinstance(request, int) else request for request in requests],
             Timeouts(**{**usual, **timeouts}) if timeouts else self.timeouts,
             one_by_one=one_by_one or settings["max_in_flight"] == 1,
             go_on=go_on,
@@ -244,4 +244,4 @@ def small_memory() -> Iterator[None]:
 
 def kinds(batch: Batch) -> list[Any]:
     """Results, and of failures their types."""
-    return [type(each) if isinstance(each, Exception) else each for each in batch.outcomes]
+    return [type(item) if isinstance(item, Exception) else item for item in batch.outcomes]

@@ -44,7 +44,7 @@ IDENTIFICATION: dict[str | int, str | bytes] = {
     128: "private",
 }
 OBJECTS = dict(
-    zip((0, 1, 2, 3, 6, 128), (str(each).encode() for each in IDENTIFICATION.values()), strict=True)
+    zip((0, 1, 2, 3, 6, 128), (str(item).encode() for item in IDENTIFICATION.values()), strict=True)
 )
 # Nobody has these: old ones of Modicon, a reserved one, and two for users.
 UNKNOWN_FUNCTIONS = (9, 18, 65, 90, 100)

@@ -99,11 +99,11 @@ def _children() -> frozenset[str]:
 
 
 def _names(before: Snapshot, after: Snapshot) -> list[str]:
-    names = [_named_descriptor(each) for each in sorted(after.descriptors - before.descriptors)]
-    names += [f"thread {each.name!r}" for each in after.threads - before.threads]
+    names = [_named_descriptor(entry) for entry in sorted(after.descriptors - before.descriptors)]
+    names += [f"thread {thread.name!r}" for thread in after.threads - before.threads]
     if after.started > before.started and not after.threads - before.threads:
         names.append("a thread without a name")
-    names += [_named_process(each) for each in after.children - before.children]
+    names += [_named_process(entry) for entry in after.children - before.children]
     return [name for name in names if name]
 
 
@@ -126,7 +126,7 @@ def _owner(number: int) -> str:
         socket_ = socket.socket(fileno=copy)
     except OSError:
         os.close(copy)
-        return next((f"of {each!r}" for each in gc.get_objects() if _holds(each, number)), "")
+        return next((f"of {item!r}" for item in gc.get_objects() if _holds(item, number)), "")
     with socket_:
         return f"{socket_.type.name} {socket_.getsockname()} {_peer(socket_)}".rstrip()
 
@@ -183,14 +183,14 @@ class Loops:
         it was itself interrupted.
         """
         tasks = asyncio.all_tasks(loop)
-        if not any(each.get_coro() in self._mains for each in tasks):
+        if not any(task.get_coro() in self._mains for task in tasks):
             # What was cancelled is about to end, whoever cancelled it.
-            self.left += [_named_task(each) for each in tasks if not each.cancelling()]
+            self.left += [_named_task(task) for task in tasks if not task.cancelling()]
 
     def closing(self, loop: Any) -> None:
         """Note timers that would have rung later; a loop that is closed already has none."""
         self._open.discard(loop)
-        self.left += [f"timer {each!r}" for each in loop._scheduled if not each.cancelled()]
+        self.left += [f"timer {entry!r}" for entry in loop._scheduled if not entry.cancelled()]
 
     def names(self) -> list[str]:
         """Return what is left."""
@@ -198,7 +198,7 @@ class Loops:
         for loop in list(self._open):
             if id(loop) not in self._known and not loop.is_closed():
                 tasks.append(f"event loop {loop!r}")
-                tasks += [_named_task(each) for each in asyncio.all_tasks(loop)]
+                tasks += [_named_task(all_task) for all_task in asyncio.all_tasks(loop)]
         return tasks
 
 

@@ -30,6 +30,6 @@ def resolve(monkeypatch: pytest.MonkeyPatch, name: str, *addresses: str) -> None
     ) -> list[Any]:
         is_name = host == name and not flags & socket.AI_NUMERICHOST
         hosts = (addresses or ("127.0.0.1",)) if is_name else (host,)
-        return [each for at in hosts for each in look_up(at, port, family, type, proto, flags)]
+        return [entry for at in hosts for entry in look_up(at, port, family, type, proto, flags)]
 
     monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)

@@ -47,11 +47,11 @@ class FakeOutput(Output):
 
     @property
     def accepted(self) -> list[Reading]:
-        return [each for batch in self.batches for each in batch]
+        return [reading for batch in self.batches for reading in batch]
 
     @property
     def ids(self) -> list[int]:
-        return [each.id for each in self.accepted]
+        return [reading.id for reading in self.accepted]
 
     async def open_output(self) -> None:
         if self.is_away:
@@ -68,7 +68,7 @@ class FakeOutput(Output):
             if isinstance(manner, BaseException):
                 raise manner
             await asyncio.sleep(manner)
-        if any(each.device in self.refused for each in readings):
+        if any(reading.device in self.refused for reading in readings):
             self.failed += 1
             raise self.error
         self.batches.append([*readings])
@@ -100,7 +100,7 @@ async def write(output: Output, *polls: Sequence[Reading]) -> None:
     """Open an output, write readings in so many calls, and close it."""
     await output.open_output()
     try:
-        for each in polls:
-            await output.write_readings(each)
+        for poll in polls:
+            await output.write_readings(poll)
     finally:
         await output.close_output()

@@ -34,7 +34,7 @@ def run_to_end(
     *command: object, seconds: float = 60, **options: Any
 ) -> subprocess.CompletedProcess[str]:
     """Run a program to its end, which must come within so many seconds; collect what it prints."""
-    words = [str(each) for each in command]
+    words = [str(word) for word in command]
     return subprocess.run(words, capture_output=True, text=True, timeout=seconds, **options)
 
 

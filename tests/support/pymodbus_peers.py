@@ -85,7 +85,7 @@ def simulated_device() -> SimDevice:
         (INPUT_REGISTERS, input_register, DataType.REGISTERS),
     )
     coils, inputs, holdings, readings = (
-        [SimData(addresses.start, values=[value(each) for each in addresses], datatype=kind)]
+        [SimData(addresses.start, values=[value(address) for address in addresses], datatype=kind)]
         for addresses, value, kind in tables
     )
     return SimDevice(UNIT, simdata=(coils, inputs, holdings, readings))

@@ -58,4 +58,4 @@ def refusal(driver: Driver, code: int, at: int = -1) -> bytes:
 def addresses(driver: Driver) -> list[int]:
     """Return the addresses of the requests, in their order."""
     first = 8 if driver.has_ids else 2
-    return [int.from_bytes(each[first : first + 2], "big") for each in driver.sent]
+    return [int.from_bytes(frame[first : first + 2], "big") for frame in driver.sent]

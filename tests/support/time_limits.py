@@ -74,15 +74,15 @@ class Limit:
 
 def where(frame: FrameType | None) -> str:
     """Return the stacks of the main thread, of tasks in its event loop, and of other threads."""
-    stack = [each for each in traceback.format_stack(frame) if not RUNNER.search(each)]
+    stack = [frame_ for frame_ in traceback.format_stack(frame) if not RUNNER.search(frame_)]
     stacks = {"the main thread": stack}
     loop = asyncio._get_running_loop()
     tasks = sorted(asyncio.all_tasks(loop), key=str) if loop is not None else []
     for task in tasks[:TASKS]:
         frames = task.get_stack(limit=FRAMES)
-        lines = [traceback.format_stack(each, limit=1)[0] for each in frames]
+        lines = [traceback.format_stack(frame, limit=1)[0] for frame in frames]
         stacks[f"task {task.get_name()!r}"] = lines
-    names = {each.ident: each.name for each in threading.enumerate()}
+    names = {thread.ident: thread.name for thread in threading.enumerate()}
     for number, top in sys._current_frames().items():
         if number != threading.main_thread().ident:
             stacks[f"thread {names.get(number, number)!r}"] = traceback.format_stack(top)

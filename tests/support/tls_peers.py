@@ -254,14 +254,14 @@ class Relay:
         self.cut()
         for thread in self._threads:
             thread.join()
-        for each in self._sockets:
-            each.close()
+        for entry in self._sockets:
+            entry.close()
 
     def cut(self) -> None:
         """Drop all connections."""
-        for each in self._sockets:
+        for entry in self._sockets:
             with contextlib.suppress(OSError):
-                each.shutdown(socket.SHUT_RDWR)
+                entry.shutdown(socket.SHUT_RDWR)
 
     def _start(self, target: Callable[..., object], *arguments: object) -> None:
         self._threads.append(threading.Thread(target=target, args=arguments))

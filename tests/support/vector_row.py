@@ -39,7 +39,7 @@ def frame_row(
 
 def appended(text: str, row: dict[str, Any]) -> str:
     """Return the text of a file of rows with one more; raise a ValueError if its id is there."""
-    if any(each["id"] == row["id"] for each in json.loads(text)):
+    if any(load["id"] == row["id"] for load in json.loads(text)):
         raise ValueError(f"there is a row {row['id']!r}")
     return f"{text.rstrip().removesuffix(']').rstrip()},\n {json.dumps(row)}\n]\n"
 

@@ -108,7 +108,7 @@ def exchanges() -> list[tuple[FrameVector, FrameVector]]:
     """Return request and answer of each example that has both."""
     requests = {vector.id: vector for vector in REQUESTS}
     answers = [*RESPONSES, *EXCEPTIONS]
-    return [(requests[each.request], each) for each in answers if each.request in requests]
+    return [(requests[answer.request], answer) for answer in answers if answer.request in requests]
 
 
 CHECKSUMS = [

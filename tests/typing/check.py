@@ -28,7 +28,7 @@ Place = tuple[str, int]
 
 def main() -> int:
     results = {"mypy": mypy(), "pyright": pyright()}
-    complaints = [each for item in results.items() for each in disagreements(*item)]
+    complaints = [disagreement for item in results.items() for disagreement in disagreements(*item)]
     share = completeness()
     if share < COMPLETE:
         complaints.append(f"pyright knows {share:.1f} % of the types, {COMPLETE:g} % are wanted")
@@ -75,9 +75,9 @@ def mypy() -> dict[Place, str]:
 def pyright() -> dict[Place, str]:
     report = json.loads(output([tool("pyright"), "--outputjson", *paths()]))
     return {
-        (Path(each["file"]).name, each["range"]["start"]["line"] + 1): each["message"]
-        for each in report["generalDiagnostics"]
-        if each["severity"] == "error"
+        (Path(row["file"]).name, row["range"]["start"]["line"] + 1): row["message"]
+        for row in report["generalDiagnostics"]
+        if row["severity"] == "error"
     }
 
 

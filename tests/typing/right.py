@@ -260,12 +260,12 @@ def passing_on() -> None:
 
 def hearing() -> None:
     with listen("rtu:///dev/ttyUSB0", capture="line.pcapng") as line:
-        for each in line:
-            assert_type(each, Transaction)
+        for entry in line:
+            assert_type(entry, Transaction)
     assert_type(Separator("ascii").feed(b"", 0.0, "client"), list[Transaction])
 
 
 async def hearing_in_a_loop() -> None:
     async with listen("rtu+tcp://:1502", between="rtu+tcp://192.0.2.10") as line:
-        async for each in line:
-            assert_type(each, Transaction)
+        async for entry in line:
+            assert_type(entry, Transaction)

@@ -68,10 +68,10 @@ def test_points_are_watched_at_their_intervals(meter: Meter, url: str, path: Pat
     rows = [json.loads(line) for line in lines.splitlines()]
     assert meter.asked.count(0) == 3
     assert meter.asked.count(9) == 1
-    assert [each["values"]["serial"] for each in rows] == [0, 0, 0]
+    assert [row["values"]["serial"] for row in rows] == [0, 0, 0]
     # The second total was smaller, was read again at once, and still was.
-    assert [each["values"]["energy"] for each in rows] == [100, 4, 4]
-    assert [each.get("fell") for each in rows] == [None, ["energy"], None]
+    assert [row["values"]["energy"] for row in rows] == [100, 4, 4]
+    assert [row.get("fell") for row in rows] == [None, ["energy"], None]
 
 
 def test_text_and_csv_tell_of_a_total_that_fell(meter: Meter, url: str, path: Path) -> None:

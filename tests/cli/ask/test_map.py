@@ -57,7 +57,7 @@ def test_a_skeleton_of_very_much_has_ranges(tmp_path: Path) -> None:
         result = run_map("from-device", running.urls[0])
     (tmp_path / "found.toml").write_text(result.out)
     skeleton = load_map(tmp_path / "found.toml")
-    assert [(each.name, each.count) for each in skeleton.values()] == [
+    assert [(entry.name, entry.count) for entry in skeleton.values()] == [
         ("coil_0", 5000),
         ("input_0", 3),
     ]

@@ -124,7 +124,7 @@ NO = IllegalFunction()
 def test_a_question_that_fails_hides_no_other_answer(error: ModbusError, at: int) -> None:
     answers: list[Any] = [[("one", 1)], [("two", 2)]]
     answers.insert(at, error)
-    questions = {str(number): question(each) for number, each in enumerate(answers)}
+    questions = {str(number): question(answer) for number, answer in enumerate(answers)}
     assert json.loads(report(questions, as_json=True)) == {
         "unit": 7,
         "one": 1,
@@ -135,7 +135,7 @@ def test_a_question_that_fails_hides_no_other_answer(error: ModbusError, at: int
 
 
 @each_case("error", [SILENCE, CLOSED])
-def test_a_device_that_says_nothing_is_not_asked_everything(error: ModbusError) -> None:
+def test_a_silent_device_is_not_asked_for_the_rest(error: ModbusError) -> None:
     requests: list[str] = []
 
     def silent(name: str) -> Question:
@@ -151,7 +151,7 @@ def test_a_device_that_says_nothing_is_not_asked_everything(error: ModbusError) 
     assert requests == ["0", "1", "2", "3"]
 
 
-def test_a_device_that_only_refuses_has_none_of_these() -> None:
+def test_only_refusals_in_a_report_are_an_error() -> None:
     questions = {"one": question(NO), "two": question(SILENCE)}
     with pytest.raises(CommandError, match=r"has none of these: illegal function .*; no answer"):
         report(questions)

@@ -72,7 +72,7 @@ def test_a_watch_polls_at_its_interval(running: Running) -> None:
         stop(process)
 
 
-def test_who_answers_nothing_is_not_asked_for_the_rest() -> None:
+def test_a_silent_unit_is_not_asked_for_the_rest() -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         url = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         result = run("read", url, "holding", "0", "60000", "coils", "0", "--timeout", "0.1", "-v")
@@ -104,7 +104,7 @@ FLOODS = {
 
 
 @pytest.mark.parametrize("data", FLOODS.values(), ids=FLOODS)
-def test_hostile_servers_are_one_line_for_each_poll(data: bytes) -> None:
+def test_texts_of_hostile_servers_take_one_line_for_each_poll(data: bytes) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         end = threading.Event()
 

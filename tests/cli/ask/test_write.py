@@ -191,7 +191,7 @@ def refusing(access: Access) -> None:
     raise IllegalDataAddress
 
 
-def test_a_device_that_lacks_a_function_is_told_how_to_be_written() -> None:
+def test_an_error_of_a_missing_function_names_another_function() -> None:
     with FakeServer(lambda request: [mbap(request, bytes([request[7] | 0x80, 1]))]) as device:
         result = run("write", device.url, "holding", "1", "3")
         assert "illegal function (exception 1); --multiple writes with function 16" in result.err

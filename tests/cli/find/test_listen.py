@@ -88,7 +88,7 @@ def test_a_line_for_each_a_summary_and_a_capture(target: str, number: int, tmp_p
     assert "unit 2: 1 transactions" in rest
     assert "\x1b" not in read + refused + write + rest
     *rows, end = map(json.loads, listen(file, "--json").out.splitlines())
-    assert [each["kind"] for each in rows] == ["answered", "exception", "answered", "unanswered"]
+    assert [row["kind"] for row in rows] == ["answered", "exception", "answered", "unanswered"]
     assert (rows[0]["response"], rows[3]["response"]) == ([7, 8, 9], None)
     assert end["summary"]["units"]["1"]["functions"] == {"3": 2, "6": 1}
 
@@ -127,7 +127,7 @@ def test_a_signal_between_hearing_and_printing_loses_no_line(monkeypatch, handle
         assert result.out.splitlines()[1].startswith("1 transactions, ")
 
 
-def test_a_second_signal_ends_it_though_nobody_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_signal_ends_the_output(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object, **__: object) -> None:
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
@@ -156,13 +156,13 @@ def test_a_capture_is_read_again(golden: Golden, monkeypatch: pytest.MonkeyPatch
 
 def test_listen_prints_the_units_that_were_typed() -> None:
     everything = [json.loads(line) for line in run("listen", DECODED, "--json").out.splitlines()]
-    units = {each.get("unit") for each in everything[:-1]}
-    unit = min(each for each in units if each is not None)
+    units = {row.get("unit") for row in everything[:-1]}
+    unit = min(unit for unit in units if unit is not None)
     assert len(units) > 1
     some = [
         json.loads(line) for line in run("listen", DECODED, "-u", unit, "--json").out.splitlines()
     ]
-    assert some[:-1] == [each for each in everything[:-1] if each["unit"] == unit]
+    assert some[:-1] == [row for row in everything[:-1] if row["unit"] == unit]
 
 
 @pytest.mark.parametrize("size", range(330, 420, 15))
@@ -251,8 +251,8 @@ def test_values_have_names_as_read_prints_them(target: str, points: Path, tmp_pa
         ["1", "speed", "5", "rpm", "1", ""],
     ]
     *transactions, _ = map(json.loads, listen(file, "--map", points, "--json").out.splitlines())
-    assert [each["value"] for each in transactions] == [0.7, None, 9, 5]
-    assert [each["written"] for each in transactions] == [False, False, False, True]
+    assert [transaction["value"] for transaction in transactions] == [0.7, None, 9, 5]
+    assert [transaction["written"] for transaction in transactions] == [False, False, False, True]
     values = json.loads(run("read", target, "-u", 1, "--map", points, "--json").out)
     assert transactions[1]["no_value"] == values["no_value"]["limit"]
     assert listen(file, "--map", points, "--csv", "-u", 2).out.count("\n") == 1
@@ -280,7 +280,7 @@ def test_what_a_master_asks_becomes_a_map(target: str, number: int, tmp_path: Pa
     assert [*json.loads(read)["values"].values()] == [8, 9]
 
 
-def test_options_of_names_that_cannot_be(tmp_path: Path) -> None:
+def test_invalid_options_of_names(tmp_path: Path) -> None:
     existing = tmp_path / "asked.csv"
     existing.write_text("mine")
     for arguments, message in (

@@ -29,7 +29,7 @@ def url() -> Iterator[str]:
         yield running.urls[0]
 
 
-def test_who_answers_is_printed_and_the_rest_goes_elsewhere(url: str) -> None:
+def test_units_that_answer_are_printed_and_messages_go_to_stderr(url: str) -> None:
     result = run("scan", url)
     assert result.code == 0
     first, second = result.out.splitlines()
@@ -58,7 +58,7 @@ def test_a_scan_prints_json_in_one_line(url: str) -> None:
         {"address": 0, "count": 4},
         {"address": 6, "count": 2},
     ]
-    assert sum(each["requests"] for each in device["tables"].values()) <= 2000
+    assert sum(row["requests"] for row in device["tables"].values()) <= 2000
 
 
 def test_what_deep_prints_is_a_device_file(url: str, tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ def test_a_signal_prints_what_was_found_and_restores_the_line(as_json, number, c
         if as_json:
             report = json.loads(output)
             assert report["stopped"] is True
-            assert [each["unit"] for each in report["found"]] == [1]
+            assert [unit["unit"] for unit in report["found"]] == [1]
         else:
             assert output.startswith("unit 1 at 19200 8E1: ")
 

@@ -58,7 +58,7 @@ def test_hosts_that_accept_a_connection_are_scanned(port: str) -> None:
     assert result.out.count("\n") == 1
     assert result.err.startswith("6 hosts, 1.0 s at most, and more for each host that accepts")
     report = json.loads(run("scan", f"127.0.0.0/29:{port}", "--json").out)
-    assert [each["unit"] for each in report["found"]] == [3]  # quick: 30 is not asked
+    assert [unit["unit"] for unit in report["found"]] == [3]  # quick: 30 is not asked
     assert run("read", report["found"][0]["url"], "hr", 0).code == 0
 
 
@@ -73,7 +73,7 @@ def test_a_range_without_a_server_finds_no_unit() -> None:
 def test_a_quick_scan_asks_usual_units(port: str) -> None:
     everything = run("scan", f"127.0.0.1:{port}", "--quick")
     assert everything.err.startswith("14 units, ")
-    assert [each.partition(":")[0] for each in everything.out.splitlines()] == ["unit 3"]
+    assert [line.partition(":")[0] for line in everything.out.splitlines()] == ["unit 3"]
     assert run("scan", f"127.0.0.1:{port}", "--quick", "-u", "30").out.startswith("unit 30: ")
 
 

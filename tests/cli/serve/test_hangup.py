@@ -163,7 +163,7 @@ def test_a_terminal_that_closes_while_it_starts_ends_it(tmp_path: Path, name: st
 
 
 @NAMES
-def test_a_command_that_cannot_start_says_why(tmp_path: Path, name: str) -> None:
+def test_a_command_that_cannot_start_names_the_reason(tmp_path: Path, name: str) -> None:
     with start(tmp_path, name, "waiting") as command:
         with being_read(tmp_path, "x = 1"):
             command.process.send_signal(signal.SIGHUP)
@@ -171,7 +171,7 @@ def test_a_command_that_cannot_start_says_why(tmp_path: Path, name: str) -> None
         assert "file, line 1: " in command.said
 
 
-def test_without_a_file_it_says_so_and_goes_on(command: list[str]) -> None:
+def test_a_reload_without_a_file_is_reported_and_the_server_continues(command: list[str]) -> None:
     with Forked(*command, "tcp://127.0.0.1:0", *INFO) as process:
         assert "listening on" in process.stdout.readline()
         process.send_signal(signal.SIGHUP)

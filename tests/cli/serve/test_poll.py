@@ -68,7 +68,7 @@ def test_a_single_poll_goes_to_several_outputs(fleet: Path) -> None:
     assert sorted(c.read_text().splitlines()) == sorted(result.out.splitlines())
     assert sorted(a.read_text().splitlines()) == sorted(b.read_text().splitlines())
     assert len(a.read_text().splitlines()) == 7
-    assert sorted((each["device"], each["name"], each["value"]) for each in rows) == [
+    assert sorted((row["device"], row["name"], row["value"]) for row in rows) == [
         ("gone", "current", None),
         ("gone", "voltage", None),
         ("one", "current", 1.5),
@@ -228,7 +228,7 @@ def test_polls_go_to_files_and_metrics(fleet: Path) -> None:
         url = message.split()[-1]
         end = time.monotonic() + LONGEST
         metrics = ""
-        while not all(each in metrics for each in samples):
+        while not all(sample in metrics for sample in samples):
             assert time.monotonic() < end
             time.sleep(0.05)
             with urllib.request.urlopen(url, timeout=LONGEST) as page:
@@ -262,7 +262,7 @@ def with_journal(fleet: Path) -> Path:
     return file
 
 
-def test_a_journal_is_told_of_at_the_end_and_used_by_one_program(fleet: Path) -> None:
+def test_a_journal_is_reported_at_the_end_and_used_by_one_program(fleet: Path) -> None:
     file = with_journal(fleet)
     with start(file, "--json") as process:
         ids = [json.loads(process.stdout.readline())["id"] for _ in range(10)]

@@ -83,8 +83,8 @@ def test_the_fleet_is_shown_and_follows_its_file(tank: Path) -> None:
             visitor.receive(
                 lambda: (
                     [
-                        [*each["name"].values(), *each["value"].values()]
-                        for each in visitor.rows("rows")[1:]
+                        [*row["name"].values(), *row["value"].values()]
+                        for row in visitor.rows("rows")[1:]
                     ]
                     == [["one", "level", "17", "m"], ["one", "pressure", "4", "bar"]]
                 )

@@ -25,7 +25,7 @@ TCP = "tcp://127.0.0.1:0"
 def new_values(path: Path) -> list[Any]:
     lines = path.read_text().splitlines() if path.exists() else []
     events = [json.loads(line) for line in lines]
-    return [each["changes"][0]["new"] for each in events if each["event"] == "write"]
+    return [event["changes"][0]["new"] for event in events if event["event"] == "write"]
 
 
 def test_a_rotated_file_is_left_on_hangup(command: list[str], tmp_path: Path) -> None:
@@ -67,8 +67,8 @@ def test_what_changed_in_a_file_that_is_read_again_is_recorded(command, tmp_path
         process.send_signal(signal.SIGHUP)
         until(lambda: "reload" in trail.read_text())
     events = [json.loads(line) for line in trail.read_text().splitlines()]
-    assert sorted(each["event"] for each in events) == ["audit", "reload", "start", "stop"]
-    (result,) = (each["result"] for each in events if each["event"] == "reload")
+    assert sorted(event["event"] for event in events) == ["audit", "reload", "start", "stop"]
+    (result,) = (event["result"] for event in events if event["event"] == "reload")
     assert result.startswith(f"{file}: read again, 1 ")
     assert "1 new" in result or "1 changed" in result
 
@@ -120,7 +120,7 @@ def test_a_new_token_is_printed_on_a_terminal() -> None:
         (None, 0, "No such file or directory"),
     ],
 )
-def test_a_wrong_token_is_told_and_not_shown(tmp_path, content, mode, message) -> None:
+def test_a_wrong_token_is_an_error_that_does_not_show_it(tmp_path, content, mode, message) -> None:
     file = tmp_path / "file"
     file.unlink(missing_ok=True)
     if content is not None:
@@ -172,7 +172,7 @@ FILES = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_one_line_says_what_became_of_all_files(name: str, pki: Pki, tmp_path: Path) -> None:
+def test_one_line_reports_the_result_of_all_files(name: str, pki: Pki, tmp_path: Path) -> None:
     files, file, trail = pki.files(certificates.server()), tmp_path / "file", tmp_path / "audit"
     arguments, text, what = FILES[name]
     own = {"cert": files.cert, "key": files.key, "ca": pki.ca}

@@ -31,7 +31,7 @@ def plant(tmp_path: Path) -> Path:
 
 
 @each_case("end", [signal.SIGTERM, signal.SIGINT])
-def test_values_of_plain_tables_survive(end: signal.Signals, tmp_path: Path) -> None:
+def test_values_of_plain_tables_are_kept(end: signal.Signals, tmp_path: Path) -> None:
     state = tmp_path / f"state-{end}"
     with serving(*SERVE, "--state", state, end=end) as (_, url), Client(url, unit=9) as plc:
         plc.write_registers(65534, [7, 8])
@@ -43,7 +43,7 @@ def test_values_of_plain_tables_survive(end: signal.Signals, tmp_path: Path) -> 
         assert plc.read_file_records([(10, 9998, 2)]) == [[0, 42]]
 
 
-def test_values_of_a_device_file_survive_a_reading_again(plant: Path, tmp_path: Path) -> None:
+def test_values_are_kept_when_a_device_file_is_read_again(plant: Path, tmp_path: Path) -> None:
     state = tmp_path / "state"
     arguments = ("--device", plant, "--state", state, *INFO)
     with serving(*SERVE, *arguments) as (process, url), Client(url, unit=1) as plc:
@@ -71,7 +71,7 @@ def test_a_state_of_other_devices_is_refused_before_anything_is_served(plant: Pa
     assert "rename the file to start without its values" in result.err
 
 
-def test_a_file_that_cannot_be_made_is_told_once(plant: Path) -> None:
+def test_a_file_that_cannot_be_created_is_logged_once(plant: Path) -> None:
     with (
         serving(*SERVE, "--device", plant, "--state", "/sys/state") as (process, url),
         Client(url, unit=1) as plc,

@@ -48,7 +48,7 @@ def test_each_command_tells_that_it_serves(name, device: str, manager: socket.so
         process.wait()
 
 
-def test_an_abstract_socket_is_told_too(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_abstract_socket_is_notified_too(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind("")  # Linux chooses an abstract name
         manager.settimeout(60)
@@ -193,7 +193,7 @@ def test_a_journal_is_never_written_to_by_others(fleet: Path, tmp_path: Path, um
         assert (result.returncode, result.stderr) == (0, b"")
         with closing(sqlite3.connect(tmp_path / "fleet.db")) as database:
             assert database.execute("SELECT count(*) FROM reading").fetchone() == (count,)
-    modes = {each.name: each.stat().st_mode & 0o777 for each in tmp_path.glob("fleet.db*")}
+    modes = {path.name: path.stat().st_mode & 0o777 for path in tmp_path.glob("fleet.db*")}
     assert {"fleet.db", "fleet.db-lock"} <= modes.keys()
     assert {name for name, mode in modes.items() if mode & OTHERS_WRITE} == set()
     if umask == "077":
@@ -216,5 +216,5 @@ def test_a_state_is_of_its_owner_alone(tmp_path: Path, umask: str) -> None:
                 assert plc.read_holding_registers(0, 1) == [0 if value == 7 else 7]
                 plc.write_register(0, value)
             process.terminate()
-        modes = {each.name: each.stat().st_mode & 0o777 for each in tmp_path.iterdir()}
+        modes = {path.name: path.stat().st_mode & 0o777 for path in tmp_path.iterdir()}
         assert set(modes.values()) == {0o600}, modes

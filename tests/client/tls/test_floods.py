@@ -92,8 +92,8 @@ def test_a_flood_while_nothing_is_asked(
         else:
             until(lambda: sizes[0] > FULL)
         server.script = Peer.serve
-        for each in range(3):
-            assert plc.read_holding_registers(each, 1) == [each]
+        for number in range(3):
+            assert plc.read_holding_registers(number, 1) == [number]
     assert sizes[0] < MUCH
 
 
@@ -122,12 +122,12 @@ def test_requests_are_sent_whole_and_in_order(talking: Talking) -> None:
             peer.write(mbap(request, request[7:12]))
 
     with talking(script, client={"timeout": 60, "max_in_flight": 256}) as (_, plc):
-        requests = [pdu.WriteRegisters(each, (each,) * 120) for each in range(count)]
+        requests = [pdu.WriteRegisters(number, (number,) * 120) for number in range(count)]
         assert plc.execute_many(requests) == [None] * count
         assert plc.statistics.connects == 1
-    assert [int.from_bytes(each[8:10], "big") for each in frames] == list(range(count))
-    for each in frames:
-        assert each[13:] == each[8:10] * 120
+    assert [int.from_bytes(frame[8:10], "big") for frame in frames] == list(range(count))
+    for frame in frames:
+        assert frame[13:] == frame[8:10] * 120
 
 
 @pytest.mark.usefixtures("small_buffers")
@@ -183,9 +183,9 @@ def test_nonsense_of_the_server_is_a_modbus_error(
             where, how, position = int(1.01 ** chance.randrange(760)), chance.randrange(4), 0
             plc = connect(relay.url, security=security, timeout=0.15)
             try:
-                for each in range(3):
-                    assert plc.read_holding_registers(each, 1) == [each]
-                assert plc.execute_many(reads(20)) == [[each] for each in range(20)]
+                for number in range(3):
+                    assert plc.read_holding_registers(number, 1) == [number]
+                assert plc.execute_many(reads(20)) == [[number] for number in range(20)]
             except ModbusError:
                 failures += 1
             plc.close()

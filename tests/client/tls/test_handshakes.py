@@ -26,8 +26,8 @@ from tests.support.tls_peers import Peer, Relay, raw
 def trickles(sock: socket.socket) -> None:
     """A ServerHello without an end, byte by byte."""
     sock.recv(4096)
-    for each in b"\x16\x03\x03\x40\x00\x02\x00\x3f\xfc\x03\x03" + bytes(16_000):
-        sock.sendall(bytes([each]))
+    for byte in b"\x16\x03\x03\x40\x00\x02\x00\x3f\xfc\x03\x03" + bytes(16_000):
+        sock.sendall(bytes([byte]))
         time.sleep(0.02)
 
 
@@ -97,7 +97,7 @@ def test_a_handler_that_closes_in_the_handshake(pki: Pki) -> None:
         until(lambda: descriptors() <= before)
 
 
-def test_a_client_goes_on_after_ctrl_c_in_the_handshake(pki: Pki, serving: Serving) -> None:
+def test_a_client_works_after_ctrl_c_in_the_handshake(pki: Pki, serving: Serving) -> None:
     is_silent = True
     with (
         serving() as server,

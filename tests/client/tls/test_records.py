@@ -26,7 +26,7 @@ def test_ec_and_rsa_keys_serve_in_both_versions(talking: Talking, pki: Pki, vers
     own = {"security": pki.security(certificates.client(**options))}
     identity = certificates.server(**options)
     with talking(Peer.serve, identity, version, client=own) as (server, plc):
-        assert [plc.read_holding_registers(each, 1) for each in range(3)] == echoes(3)
+        assert [plc.read_holding_registers(number, 1) for number in range(3)] == echoes(3)
         assert plc.execute_many(reads(300)) == echoes(300)
     assert server.connections == 1
 
@@ -39,13 +39,13 @@ def test_a_chain_with_an_intermediate(talking: Talking, pki: Pki) -> None:
 
 
 def one_byte_records(peer: Peer) -> None:
-    peer.serve(lambda request: [bytes([each]) for each in echo(request)])
+    peer.serve(lambda request: [bytes([entry]) for entry in echo(request)])
 
 
 def one_byte_segments(peer: Peer) -> None:
     while request := peer.request():
-        for each in peer.sealed(echo(request)):
-            peer.sock.sendall(bytes([each]))
+        for entry in peer.sealed(echo(request)):
+            peer.sock.sendall(bytes([entry]))
 
 
 def two_records_apart(peer: Peer) -> None:
@@ -69,7 +69,7 @@ def many_in_one_record(peer: Peer) -> None:
 )
 def test_records_say_nothing_about_frames(talking: Talking, version: str, script: Script) -> None:
     with talking(script, version=version) as (server, plc):
-        assert [plc.read_holding_registers(each, 1) for each in range(3)] == echoes(3)
+        assert [plc.read_holding_registers(number, 1) for number in range(3)] == echoes(3)
         assert plc.execute_many(reads(40)) == echoes(40)
     assert server.connections == 1
 
@@ -99,8 +99,8 @@ def test_tickets_changes_of_keys_and_empty_records_between_answers(talking: Talk
             turn += 1
 
     with talking(script, version="1.3", keylog_filename=str(log)) as (server, plc):
-        for each in range(24):
-            assert plc.read_holding_registers(each, 1) == [each]
+        for number in range(24):
+            assert plc.read_holding_registers(number, 1) == [number]
         assert plc.execute_many(reads(100)) == echoes(100)
     assert server.connections == 1
 
@@ -167,7 +167,7 @@ def test_an_answer_and_a_close_notify_together(talking: Talking) -> None:
     with talking(script, client={"timeout": 600, "max_in_flight": 8}) as (_, plc):
         outcomes = plc.execute_many(reads(4), return_exceptions=True)
         assert outcomes[0] == [0]
-        assert [type(each) for each in outcomes[1:]] == [ModbusConnectionError] * 3
+        assert [type(outcome) for outcome in outcomes[1:]] == [ModbusConnectionError] * 3
         assert "closed by the other side" in str(outcomes[1])
 
 
@@ -187,10 +187,10 @@ def test_an_answer_and_an_alert_together(connect: Connect, pki: Pki, serving: Se
         with connect(server.url, security=pki.client(), timeout=600, max_in_flight=4) as plc:
             outcomes = plc.execute_many(reads(9), return_exceptions=True)
         sockets[0].close()
-    errors = [each for each in outcomes if isinstance(each, ModbusConnectionError)]
+    errors = [outcome for outcome in outcomes if isinstance(outcome, ModbusConnectionError)]
     assert outcomes[0] == [0]
     assert errors
-    assert {each.args[0].partition(": ")[0].partition(" ")[2] for each in errors} == {
+    assert {error.args[0].partition(": ")[0].partition(" ")[2] for error in errors} == {
         "refused our certificate (tlsv1 alert access denied)"
     }
     assert outcomes[-1] == [8]

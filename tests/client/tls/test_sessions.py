@@ -32,8 +32,8 @@ def abruptly(peer: Peer) -> None:
 
 def ask_after_each_end(plc: Any, server: TlsServer, times: int) -> None:
     """Ask, and ask again when the server has closed the connection."""
-    for each in range(times):
-        assert plc.read_holding_registers(each, 1) == [each]
+    for number in range(times):
+        assert plc.read_holding_registers(number, 1) == [number]
         until(lambda: server.ended == server.connections)
 
 
@@ -104,7 +104,7 @@ def test_a_certificate_that_expired_meanwhile_is_not_resumed(
         monkeypatch.undo()
 
 
-def test_our_own_server_knows_who_comes_back(connect: Connect, pki: Pki) -> None:
+def test_the_server_recognizes_clients_that_come_back(connect: Connect, pki: Pki) -> None:
     roles: list[str | None] = []
     device = Device(
         Mapping(holding_registers=10), before_write=lambda access: roles.append(access.role)
@@ -115,8 +115,8 @@ def test_our_own_server_knows_who_comes_back(connect: Connect, pki: Pki) -> None
         Relay(int(running.urls[0].rpartition(":")[2])) as relay,
         connect(relay.url, security=pki.client(), timeout=LONG) as plc,
     ):
-        for each in range(3):
-            plc.write_register(0, each)
+        for number in range(3):
+            plc.write_register(0, number)
             relay.cut()
             until(lambda: not server.statistics.connections)
     assert roles == ["Operator"] * 3
@@ -139,7 +139,7 @@ def test_a_given_context_serves_several_connections(pki: Pki, connect: Connect) 
                 assert plc.read_holding_registers(7, 1) == [5579]
 
 
-def test_a_given_context_may_trust_everybody(pki: Pki, connect: Connect) -> None:
+def test_an_own_context_may_trust_all_certificates(pki: Pki, connect: Connect) -> None:
     stranger = context_of(pki, certificates.self_signed(), verify_mode=ssl.CERT_NONE)
     with (
         TlsServer(stranger) as server,

@@ -70,7 +70,7 @@ def words(*values: int) -> bytes:
     return struct.pack(f">{len(values)}H", *values)
 
 
-EXAMPLES = [FROM_FIELDS[each.function](each.fields) for each in REQUESTS]
+EXAMPLES = [FROM_FIELDS[request.function](request.fields) for request in REQUESTS]
 """The requests of the worked examples, at least one of each function."""
 
 # These take whatever follows the code, or the MEI type.

@@ -12,9 +12,9 @@ from tests.support.vectors import RESPONSES
 
 # Requests, and the responses of the worked examples, of which every byte is checked.
 ANSWERED: list[tuple[pdu.Request[Any], bytes]] = [
-    (request_of(each), each.pdu) for each in RESPONSES if each.pdu[:2] != b"\x2b\x0d"
+    (request_of(item), item.pdu) for item in RESPONSES if item.pdu[:2] != b"\x2b\x0d"
 ]
-ALL = ANSWERED + [(each, each.encode_response(b"\3\4\5")) for each in UNJUDGED]
+ALL = ANSWERED + [(request, request.encode_response(b"\3\4\5")) for request in UNJUDGED]
 
 every_request = each_case("request_", [request for request, _ in ALL])
 
@@ -27,12 +27,12 @@ class TestBadResponses:
                 request_.decode_response(good[:end])
             assert errors.in_hex(good[:end]) in str(caught.value)
 
-    @each_case(("request_", "good"), [each for each in ANSWERED if not each[0].may_be_broadcast])
+    @each_case(("request_", "good"), [item for item in ANSWERED if not item[0].may_be_broadcast])
     def test_prolonged_responses_are_invalid(self, request_: pdu.Request[Any], good: bytes) -> None:
         with pytest.raises(errors.InvalidResponse):
             request_.decode_response(good + b"\0")
 
-    @each_case(("request_", "good"), [each for each in ANSWERED if each[0].may_be_broadcast])
+    @each_case(("request_", "good"), [answer for answer in ANSWERED if answer[0].may_be_broadcast])
     def test_bytes_behind_an_echo_are_ignored(self, request_, good) -> None:
         """IndustrialShields/arduino-Tools40#7: a stray byte behind the echo is counted."""
         request_.decode_response(good + b"\6")
@@ -129,7 +129,7 @@ class TestBadResponses:
         with pytest.raises(errors.InvalidResponse):
             request_.decode_response(response)
 
-    @each_case(("request_", "good"), [each for each in ANSWERED if each[0].may_be_broadcast])
+    @each_case(("request_", "good"), [answer for answer in ANSWERED if answer[0].may_be_broadcast])
     def test_every_byte_of_an_echo_counts(self, request_: pdu.Request[Any], good: bytes) -> None:
         for at in range(1, len(good)):
             echo = bytearray(good)

@@ -35,12 +35,12 @@ SUB_FUNCTIONS = {
 
 
 def test_sub_functions_have_the_codes_of_the_specification() -> None:
-    assert {each.name: each.value for each in pdu.SubFunction} == SUB_FUNCTIONS
+    assert {code.name: code.value for code in pdu.SubFunction} == SUB_FUNCTIONS
 
 
 def test_mei_types_have_the_codes_of_the_specification() -> None:
     assert list(MeiType) == [0x0D, 0x0E]
-    assert {each.value for each in ReadDeviceIdCode} == {1, 2, 3, 4}
+    assert {code.value for code in ReadDeviceIdCode} == {1, 2, 3, 4}
 
 
 class TestLengthRules:
@@ -106,12 +106,12 @@ READS = (1, 2, 3, 4, 7, 11, 12, 17, 20, 24)
 WRITES = (5, 6, 15, 16, 21, 22, 23)
 
 READING = [
-    *(each for each in EXAMPLES if each.function in READS),
+    *(example for example in EXAMPLES if example.function in READS),
     *(pdu.Diagnostics(number) for number in (0, 2, *range(11, 19))),
     pdu.ReadDeviceIdentification(1),
 ]
 CHANGING = [
-    *(each for each in EXAMPLES if each.function in WRITES),
+    *(example for example in EXAMPLES if example.function in WRITES),
     *(pdu.Diagnostics(number) for number in (1, 3, 4, 10, 20)),
     pdu.EncapsulatedTransport(13, b"\0"),  # only its two ends know what a CANopen message does
     pdu.RawRequest(100),
@@ -125,7 +125,7 @@ def test_a_request_says_whether_it_changes_a_device(request_: pdu.Request[Any]) 
 
 
 def test_every_function_is_tried() -> None:
-    assert {each.function for each in READING + CHANGING} == {*pdu.REQUESTS, 100}
+    assert {code.function for code in READING + CHANGING} == {*pdu.REQUESTS, 100}
 
 
 def test_reads_and_writes_of_absolute_values_are_repeatable() -> None:

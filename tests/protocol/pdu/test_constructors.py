@@ -117,12 +117,12 @@ class TestConstructors:
             with pytest.raises(TypeError, match=r"^data must be bytes, not "):
                 make(wrong)
 
-    def test_diagnostics_have_a_zero_word_unless_told(self) -> None:
+    def test_diagnostics_have_a_zero_word_by_default(self) -> None:
         assert pdu.Diagnostics(pdu.SubFunction.CLEAR_COUNTERS) == pdu.Diagnostics(10, b"\0\0")
         assert pdu.Diagnostics(10).encode() == b"\x08\0\x0a\0\0"
 
     def test_only_force_listen_only_is_not_answered(self) -> None:
-        silent = [each for each in range(65536) if not pdu.Diagnostics(each).expects_response]
+        silent = [number for number in range(65536) if not pdu.Diagnostics(number).expects_response]
         assert silent == [pdu.SubFunction.FORCE_LISTEN_ONLY]
         assert all(request.expects_response for request in EXAMPLES)
 

@@ -113,7 +113,7 @@ class TestIdentification:
         for number in unknown:
             assert pages(ReadDeviceIdentification(code, number), OBJECTS) == first
 
-    def test_known_object_is_where_the_stream_goes_on(self) -> None:
+    def test_a_known_object_is_the_first_of_the_stream(self) -> None:
         for code, last in LAST_OBJECT.items():
             for number in OBJECTS:
                 if number <= last:

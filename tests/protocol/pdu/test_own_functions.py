@@ -162,7 +162,7 @@ RESPONSE = bytes.fromhex("03 06 022B00000064")
 
 class Signed(pdu.ReadHoldingRegisters):
     def _decode_response(self, pdu: bytes) -> list[int]:
-        return [each - 65536 * (each > 32767) for each in super()._decode_response(pdu)]
+        return [entry - 65536 * (entry > 32767) for entry in super()._decode_response(pdu)]
 
 
 class Padded(pdu.ReadHoldingRegisters):
@@ -190,7 +190,7 @@ class Unfinished(Request[None]):
     request_length = response_length = pdu.fixed(2)
 
 
-def test_a_class_without_its_coding_says_so() -> None:
+def test_a_class_without_its_coding_is_an_error() -> None:
     with pytest.raises(NotImplementedError):
         Unfinished().encode()
     with pytest.raises(NotImplementedError):

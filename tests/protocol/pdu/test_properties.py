@@ -121,7 +121,7 @@ def results(request: pdu.Request[Any]) -> st.SearchStrategy[Any]:
 class TestProperties:
     @settings(max_examples=60)
     @given(requests())
-    def test_requests_survive_the_wire(self, request_: pdu.Request[Any]) -> None:
+    def test_requests_decode_to_what_was_encoded(self, request_: pdu.Request[Any]) -> None:
         data = request_.encode()
         assert pdu.decode_request(data) == request_
         assert len(data) <= pdu.MAX_PDU
@@ -130,7 +130,7 @@ class TestProperties:
 
     @settings(max_examples=60)
     @given(st.data())
-    def test_results_survive_the_wire(self, data: st.DataObject) -> None:
+    def test_results_decode_to_what_was_encoded(self, data: st.DataObject) -> None:
         request = data.draw(requests())
         result = data.draw(results(request))
         response = request.encode_response(result)

@@ -13,7 +13,7 @@ from tests.support.cases import each_case
 
 
 @with_engine
-async def test_a_watch_that_could_not_begin_is_told_nothing_more(
+async def test_a_watch_that_could_not_begin_gets_no_events(
     engine: Engine, client: EngineClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begin = engine.begin_consumer
@@ -42,11 +42,11 @@ async def test_contents_from_a_server_that_lags_behind_are_complete_with_their_l
     assert changes == []
     engine.catch_up(to=1)
     await asyncio.sleep(1.0)
-    assert [each and each.key for each in changes] == ["a"]
+    assert [change and change.key for change in changes] == ["a"]
     engine.catch_up()
     engine.write("c", b"3")
     await asyncio.sleep(1.0)
-    assert [each and each.key for each in changes] == ["a", "b", None, "c"]
+    assert [change and change.key for change in changes] == ["a", "b", None, "c"]
 
 
 @with_engine
@@ -90,8 +90,8 @@ class Delivering:
         self._messages = messages
 
     async def subscribe(self, *_: Any, cb: Any, **__: Any) -> None:
-        for each in self._messages:
-            await cb(each)
+        for message in self._messages:
+            await cb(message)
 
     async def stream_info(self, *_: Any) -> Any:
         subjects = {f"$KV.b.{key}": 1 for key in self._keys}
@@ -109,8 +109,8 @@ def watched(
     async def main() -> None:
         server: Any = Delivering(keys, messages[:early])
         await watch.begin(server)
-        for each in messages[early:]:
-            await watch._receive(each)
+        for message in messages[early:]:
+            await watch._receive(message)
 
     asyncio.run(main())
     return watch, changes, missed
@@ -130,5 +130,5 @@ def test_a_change_that_comes_twice_or_too_late_is_a_gap_and_ends_the_watch(
     messages: list[Any], contents: list[Any], gaps: int
 ) -> None:
     watch, changes, missed = watched("a", messages)
-    assert [each and (each.value, each.revision) for each in changes] == contents
+    assert [change and (change.value, change.revision) for change in changes] == contents
     assert (len(missed), watch.is_broken) == (gaps, bool(gaps))

@@ -117,8 +117,8 @@ async def test_a_malformed_message_costs_no_other(message: bytes) -> None:
 
     async with subscribed() as (server, client, messages):
         server.say(message + GOOD)
-        await until(lambda: any(each.data == b"ok" for each in messages))
-        assert [each.data for each in messages] == [b"no", b"ok"]
+        await until(lambda: any(message.data == b"ok" for message in messages))
+        assert [message.data for message in messages] == [b"no", b"ok"]
         assert len(server.heard) == 1  # the connection was not lost
         assert client.is_connected
 
@@ -142,7 +142,7 @@ async def test_after_an_error_of_the_server_the_client_connects_again(line: byte
     async with subscribed() as (server, client, messages):
         server.say(line)
         await until(lambda: len(server.heard) == 2 and client.is_connected)
-        await until(lambda: any(each.startswith(b"SUB modbus") for each in server.heard[1]))
+        await until(lambda: any(message.startswith(b"SUB modbus") for message in server.heard[1]))
         server.say(GOOD)
         await until(lambda: messages)
 

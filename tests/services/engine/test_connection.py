@@ -46,8 +46,8 @@ class Client:
 
     async def connect(self, servers: list[str], **options: Any) -> None:
         self.servers, self.options = servers, dict(options)
-        for each in self.errors_before:
-            await options["error_cb"](each)
+        for entry in self.errors_before:
+            await options["error_cb"](entry)
         if self.error is not None:
             raise self.error
 
@@ -76,7 +76,7 @@ def connect(*, servers: list[str] = SERVERS, **environment: str) -> Client:
 def refused(client: type[Client], **environment: str) -> str:
     with pytest.raises(EngineError) as caught:
         connect(**environment)
-    assert all(each.is_closed for each in client.made)
+    assert all(peer.is_closed for peer in client.made)
     return str(caught.value)
 
 
@@ -108,7 +108,7 @@ def test_keys_need_nkeys_and_nothing_else_does(name, client: type[Client], monke
     connect(**{name: ""}, NATS_USER="u")
 
 
-def test_tls_is_used_where_anything_says_so(client: type[Client], tmp_path: Path) -> None:
+def test_an_option_or_a_url_switches_tls_on(client: type[Client], tmp_path: Path) -> None:
     ca = save(tmp_path, authority(), "ca").cert
     assert "tls" in connect(servers=["nats://192.0.2.1", "tls://192.0.2.2"]).options
     assert "tls" in connect(NATS_CA=str(ca)).options
@@ -122,7 +122,7 @@ def test_a_file_that_is_not_there_is_named(client: type[Client]) -> None:
     assert client.made == []
 
 
-async def test_a_connection_that_is_lost_is_sought_for_ever_and_each_change_told(
+async def test_a_lost_connection_is_retried_for_ever_and_changes_are_reported(
     client: type[Client],
 ) -> None:
     changes: list[None] = []
@@ -145,7 +145,7 @@ def test_a_server_must_be_new_enough(version: Any, client: type[Client]) -> None
         assert refused(client) == f"nats://192.0.2.1: {text}"
 
 
-def test_the_reason_that_came_first_is_told(client: type[Client]) -> None:
+def test_the_first_reason_is_reported(client: type[Client]) -> None:
     import nats.errors
 
     client.error = nats.errors.NoServersError()

@@ -64,16 +64,16 @@ async def test_a_device_of_bad_manners_costs_others_nothing(manners: Any) -> Non
         async with polling(*devices) as (fleet, readings):
             await until(lambda: len(bad.requests) >= 3 and len(well.requests) >= 25)
             # Nothing wrong is taken for a value.
-            values = {each[2:6] for each in readings if each.quality == "good"}
+            values = {reading[2:6] for reading in readings if reading.quality == "good"}
             assert values == {
                 ("voltage", 0.7, "V", "good"),
                 ("power", 7, "W", "good"),
                 ("setpoint", 7, "C", "good"),
             }
             assert all(
-                each.state.value == "up" and each.misses == 0
-                for each in fleet.devices.values()
-                if each.name != "bad"
+                device.state.value == "up" and device.misses == 0
+                for device in fleet.devices.values()
+                if device.name != "bad"
             )
 
 
@@ -132,7 +132,7 @@ async def test_a_fork_leaves_the_parent_alone() -> None:
 
 
 @in_simulated_time
-async def test_an_output_that_adds_and_removes_devices_while_it_is_told() -> None:
+async def test_an_output_may_add_and_remove_devices_in_its_callback() -> None:
     """Whoever sees a reading may change the fleet at once."""
     async with Peer() as one, Peer() as two:
         fleet = Fleet([meter("a", one.url)])

@@ -118,8 +118,8 @@ async def test_a_command_waits_for_the_one_before_and_for_no_other_device() -> N
         return await commands.answer(device, point, str(value).encode())
 
     tasks = [
-        asyncio.create_task(write(*each))
-        for each in (("pump", "level", 1), ("pump", "limit", 2), ("fan", "level", 3))
+        asyncio.create_task(write(*entry))
+        for entry in (("pump", "level", 1), ("pump", "limit", 2), ("fan", "level", 3))
     ]
     for _ in range(10):
         await asyncio.sleep(0)
@@ -140,7 +140,7 @@ async def test_a_command_that_waited_is_refused_if_its_device_is_gone_then() -> 
     devices.gone.add("pump")
     devices.may_end["pump"].set()
     outcomes = await asyncio.gather(*tasks)
-    assert [json.loads(each or b"").get("error") for each in outcomes] == [
+    assert [json.loads(outcome or b"").get("error") for outcome in outcomes] == [
         None,
         "there is no device 'pump'",
     ]
@@ -166,7 +166,7 @@ async def test_a_write_that_is_repeated_is_not_overtaken_by_the_next() -> None:
                 fleet.commands.answer("north", "setpoint", b"20"),
                 fleet.commands.answer("north", "setpoint", b"25"),
             )
-            assert [json.loads(each or b"")["ok"] for each in outcomes] == [True, True]
+            assert [json.loads(outcome or b"")["ok"] for outcome in outcomes] == [True, True]
     assert values == [20, 20, 25]
 
 

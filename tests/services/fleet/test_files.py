@@ -73,7 +73,7 @@ def test_a_file_with_every_key_is_read(tmp_path: Path, monkeypatch: pytest.Monke
     fleet = fleet.replace("[[device]]", "[[device]]\ndead_bands = {power = 10}", 1)
     file = load(fleet_in(tmp_path, fleet))
     pump, valve, own, north = file.devices
-    assert [each.name for each in file.devices] == ["pump", "valve", "own", "north 1"]
+    assert [device.name for device in file.devices] == ["pump", "valve", "own", "north 1"]
     assert (pump.unit, pump.interval, pump.timeout) == (3, 2.5, None)
     assert pump.labels == {"site": "here", "line": "A"}
     assert pump.names == ("voltage", "power")
@@ -91,7 +91,7 @@ def test_a_file_with_every_key_is_read(tmp_path: Path, monkeypatch: pytest.Monke
     assert "secret" not in repr(file)
     fleet_of_it = Fleet.from_file(tmp_path / "fleet.toml")
     assert set(fleet_of_it.statistics.outputs) == set()
-    assert [type(each) for each in file.make_outputs()][1] is Mqtt
+    assert [type(make_output) for make_output in file.make_outputs()][1] is Mqtt
 
 
 def test_the_example_of_the_source_tree_can_be_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,7 +110,7 @@ def test_the_example_of_the_source_tree_has_every_key() -> None:
     assert set(TABLE) == {key for table in [file["defaults"], *file["device"]] for key in table}
     for kind in KINDS:
         tables = file["output"][kind]
-        keys = {key for each in ([tables] if isinstance(tables, dict) else tables) for key in each}
+        keys = {key for item in ([tables] if isinstance(tables, dict) else tables) for key in item}
         assert keys >= set(output_keys(kind)) - {"buffer"}, kind
     assert "buffer = " in text  # all kinds have it
     for secret in SECRET:
@@ -161,7 +161,7 @@ def test_a_list_of_devices_is_read_as_spreadsheets_save_it(tmp_path, data, messa
     (device,) = file.devices
     assert (device.interval, device.labels) == (1.5, {"site": "Köln"})
     notes = [*message, "rows above the headings that are skipped: 1"]
-    assert file.notes == tuple(f"{tmp_path / 'more.csv'}: {each}" for each in notes)
+    assert file.notes == tuple(f"{tmp_path / 'more.csv'}: {note}" for note in notes)
 
 
 def test_a_list_of_devices_is_a_table_in_markdown_or_a_spreadsheet(tmp_path: Path) -> None:
@@ -185,7 +185,7 @@ def test_all_mistakes_in_devices_are_found_at_once(tmp_path: Path) -> None:
     path = fleet_in(tmp_path, f"devices = 'more.csv'\n{table}", rows)
     with pytest.raises(FleetFileError) as caught:
         load(path)
-    messages = [str(each) for each in (caught.value, *caught.value.others)]
+    messages = [str(entry) for entry in (caught.value, *caught.value.others)]
     places = ["device[0].unit", "line 3, column unit", "line 4, column url", "line 5, column name"]
     for place, text in zip(places, messages, strict=True):
         assert text.startswith(f"{path}, line ")
@@ -221,7 +221,7 @@ def test_ten_thousand_devices_are_read_in_time(tmp_path: Path) -> None:
     file = load(fleet_in(tmp_path, 'devices = "more.csv"', rows))
     assert len(file.devices) == 10_000
     assert len(by_connection(file.devices)) == 1000
-    assert len({id(each.map) for each in file.devices}) == 1
+    assert len({id(device.map) for device in file.devices}) == 1
 
 
 def test_a_file_for_the_map_with_a_mistake_is_named(tmp_path: Path) -> None:

@@ -38,17 +38,17 @@ async def test_readings_are_named_scaled_and_timed() -> None:
         ) as (fleet, readings),
     ):
         await until(lambda: len(readings) > 20)
-        a = [each for each in readings if each.device == "a"]
-        assert [each[2:7] for each in a[:3]] == [
+        a = [reading for reading in readings if reading.device == "a"]
+        assert [row[2:7] for row in a[:3]] == [
             ("voltage", 230.5, "V", "good", ""),
             ("power", -1, "W", "good", ""),
             ("setpoint", 20, "C", "good", ""),
         ]
-        assert {each[2:4] for each in readings if each.device == "b"} == {("voltage", 10.0)}
-        assert all(before <= each.time <= time_of_day() for each in readings)
+        assert {item[2:4] for item in readings if item.device == "b"} == {("voltage", 10.0)}
+        assert all(before <= reading.time <= time_of_day() for reading in readings)
         assert (fleet.statistics.devices, fleet.statistics.up) == (2, 2)
         assert fleet.statistics.readings >= len(readings)
-    assert [each.state for each in fleet.devices.values()] == []
+    assert [device.state for device in fleet.devices.values()] == []
 
 
 async def even(request: bytes) -> bytes | None:
@@ -69,7 +69,7 @@ async def test_fifty_dead_units_on_a_gateway_cost_the_others_nothing() -> None:
             dead = [unit for unit in peer.units if unit % 2]
             assert len(dead) < len(peer.units) / 3
         # Each point that is down was told once.
-        down = Counter((each.device, each.name) for each in readings if each.quality == "down")
+        down = Counter((item.device, item.name) for item in readings if item.quality == "down")
         of_the_dead = [count for (unit, _), count in down.items() if int(unit) % 2]
         assert of_the_dead == [1] * 150
 
@@ -89,7 +89,7 @@ async def test_real_connections_are_polled() -> None:
             await until(lambda: fleet.statistics.up == 3 and fleet.statistics.down == 1)
             await fleet.write("1", {"setpoint": 25})
             await until(lambda: readings[-1].value == 25)
-        values = {each[1:4] for each in readings if each.name == "voltage"}
+        values = {reading[1:4] for reading in readings if reading.name == "voltage"}
         assert values == {
             ("1", "voltage", 10.0),
             ("2", "voltage", None),
@@ -133,7 +133,7 @@ async def test_polls_due_after_a_standstill_begin_in_many_turns_of_the_loop(monk
 
     monkeypatch.setattr(FleetLine, "due", due)
     url = "tcp://127.0.0.1:1"
-    async with polling(*(meter(f"{each}", url, interval=1.0) for each in range(1000))):
+    async with polling(*(meter(f"{number}", url, interval=1.0) for number in range(1000))):
         stand_still(1.0)
         while began.total() < 1000:
             turn += 1
@@ -151,9 +151,9 @@ async def test_once_polls_each_once_and_ends() -> None:
         assert sorted(peer.units) == list(range(1, 11))
         assert fleet.statistics.polls == 10
         assert fleet.statistics.failures == 5
-        readings = [each async for each in iterator]
-        assert Counter(each.quality for each in readings) == {"good": 15, "down": 15}
-        assert {each.id for each in readings} == {0}  # there is no journal
+        readings = [reading async for reading in iterator]
+        assert Counter(reading.quality for reading in readings) == {"good": 15, "down": 15}
+        assert {reading.id for reading in readings} == {0}  # there is no journal
         await Fleet().run(once=True)
 
 
@@ -245,13 +245,13 @@ async def test_a_device_that_may_not_be_asked_is_not_polled_and_gives_no_reading
     names: set[str] = set()
     async with Peer() as one, Peer() as two:
         devices = [meter("one", one.url), meter("two", two.url)]
-        keys = [each.connection_key for each in devices]
+        keys = [device.connection_key for device in devices]
         async with polling(*devices, may_ask=lambda key: key in names) as (fleet, readings):
             await until(lambda: fleet.statistics.vetoes >= 4)
             assert one.connections == two.connections == readings == []
             names.add(keys[0])
             await until(lambda: len(readings) > 6)
-            assert {each.device for each in readings} == {"one"}
+            assert {reading.device for reading in readings} == {"one"}
             assert two.connections == []
             names.clear()
             await asyncio.sleep(0.05)
@@ -260,7 +260,7 @@ async def test_a_device_that_may_not_be_asked_is_not_polled_and_gives_no_reading
             assert len(one.requests) == count
             # It is not the device that is down: nobody asked it.
             assert fleet.statistics.down == 0
-            assert {each.quality for each in readings} == {"good"}
+            assert {reading.quality for reading in readings} == {"good"}
 
 
 @in_simulated_time

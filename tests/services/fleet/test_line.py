@@ -69,7 +69,7 @@ async def test_intervals_of_points_count_from_when_polls_are_due() -> None:
         plant.delays[2] = 0.4
         await asyncio.sleep(90)
         far = [at for at, unit, address in plant.asked if (unit, address) == (1, 9)]
-        assert {round(each) for each in gaps(far)} == {3}
+        assert {round(gap) for gap in gaps(far)} == {3}
         assert max(gaps(far)) > 3.1
 
 
@@ -114,7 +114,7 @@ class TestSilentDevices:
             plant.silent.add(1)
             await asyncio.sleep(200)
             pauses = gaps(plant.times(1))
-            assert [round(each) for each in pauses[:6]] == [2, 3, 5, 9, 17, 33]
+            assert [round(pause) for pause in pauses[:6]] == [2, 3, 5, 9, 17, 33]
             assert max(pauses) < 65
             poller = plant.fleet.devices["device 1"]
             assert poller.state is DeviceState.DOWN
@@ -311,5 +311,5 @@ async def test_a_late_answer_to_a_line_whose_options_changed_is_no_answer_over_t
             await asyncio.sleep(2)
             plant.delay = 0.3
             plant.fleet.replace([plant.device(1, interval=0.01)])
-    values = {(each.name, each.value) for each in plant.readings if each.value is not None}
+    values = {(item.name, item.value) for item in plant.readings if item.value is not None}
     assert values == {("near", 0), ("far", 9)}

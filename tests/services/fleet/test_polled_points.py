@@ -48,10 +48,10 @@ class Polled:
         while (request := self.poller.request) is not None:
             self.asked.append(request.address)
             failed = error if at in (None, request.address) else None
-            cells = [self.cells[request.address + each] for each in range(request.count)]
+            cells = [self.cells[request.address + number] for number in range(request.count)]
             self.poller.take_outcome(failed or cells, self.now)
         self.now += self.poller.interval
-        return {each.name: (each.value, each.reason) for each in self.poller.readings(self.now, 0)}
+        return {item.name: (item.value, item.reason) for item in self.poller.readings(self.now, 0)}
 
 
 def test_points_are_asked_and_reported_at_their_intervals() -> None:
@@ -85,7 +85,7 @@ def test_a_device_that_was_away_is_asked_for_all_that_is_due() -> None:
     assert device.poll() == {"v": (230, "")}
 
 
-def test_an_error_of_a_point_is_told_once_and_so_is_its_end() -> None:
+def test_an_error_of_a_point_and_its_end_are_logged_once() -> None:
     device = Polled()
     device.poll()
     for _ in range(5):
@@ -136,7 +136,7 @@ def device(plant: Plant, unit: int, points: RegisterMap = MANY) -> DeviceConfig:
 def refused(plant: Plant) -> dict[str, list[str]]:
     """Return the names of the points that each device is known to refuse."""
     return {
-        name: [each.name for each in poller.unreadable]
+        name: [name.name for name in poller.unreadable]
         for name, poller in plant.fleet.devices.items()
     }
 
@@ -161,11 +161,11 @@ async def test_a_refused_address_costs_ten_requests_and_is_logged_once(caplog) -
         await asyncio.sleep(700)
         assert poller.unreadable == []
         assert poller.error is None
-    qualities = [(each.quality, each.reason) for each in plant.readings if each.name == "p7"]
+    qualities = [(item.quality, item.reason) for item in plant.readings if item.name == "p7"]
     assert qualities[0] == ("bad", "IllegalDataAddress")
     assert set(qualities[1:]) == {("good", "")}
-    others = [each for each in plant.readings if each.name != "p7"]
-    assert all(each.quality == "good" and each.value == int(each.name[1:]) for each in others)
+    others = [reading for reading in plant.readings if reading.name != "p7"]
+    assert all(other.quality == "good" and other.value == int(other.name[1:]) for other in others)
     assert caplog.messages == [
         "device 1: cannot be read: p7, holding_registers 7 (1 register): "
         "illegal data address (exception 2)"

@@ -44,7 +44,7 @@ def test_after_each_silence_another_request_comes_first(poller: Poller) -> None:
     assert poller.misses == 4
     assert poll(poller, [2], [3], [1]) == [500, 1000, 0]
     assert poller.misses == 0
-    assert [each.value for each in poller.readings(9.0, 0)] == [1, 2, 3]
+    assert [reading.value for reading in poller.readings(9.0, 0)] == [1, 2, 3]
     assert poll(poller, [2], [3], [1]) == [500, 1000, 0]
 
 
@@ -60,5 +60,5 @@ def test_plans_for_sets_of_points_are_made_once_and_bounded() -> None:
         assert reads.plan_of(due) is plan
         plans.append(weakref.ref(plan))
         if number == 64:
-            assert all(each() is not None for each in plans)
-        assert sum(each() is not None for each in plans) <= 64
+            assert all(plan() is not None for plan in plans)
+        assert sum(plan() is not None for plan in plans) <= 64

@@ -71,7 +71,7 @@ async def polled(memory: Memory, **options: object) -> AsyncIterator[tuple[Fleet
 
 
 def reported(readings: list[Reading]) -> list[tuple[str, object]]:
-    return [(each.name, each.value) for each in readings]
+    return [(reading.name, reading.value) for reading in readings]
 
 
 @in_simulated_time

@@ -122,7 +122,7 @@ def test_a_point_of_its_own_interval_is_reported_at_least_so_often() -> None:
         (NoValue("level", "InvalidData", "has no value"), False),
     ],
 )
-def test_down_is_who_gives_no_answer(error: Exception, is_so: bool) -> None:
+def test_a_unit_without_an_answer_is_down(error: Exception, is_so: bool) -> None:
     assert is_down(error) is is_so
 
 
@@ -170,7 +170,7 @@ def test_the_text_of_a_reading_is_its_object(value: Any, number: int) -> None:
     assert row == {**fields, **({"id": number} if number else {}), "labels": {"site": "ü"}}
 
 
-def test_no_message_is_larger_than_asked_for() -> None:
+def test_no_message_is_larger_than_the_limit() -> None:
     readings = [Reading(100.0, "a", f"p{at}", at, "V", "good") for at in range(100)]
     for largest in range(1024, 1300):
         messages = list(poll_messages(readings, largest))
@@ -215,7 +215,7 @@ class Polls:
 
 
 def values(*cells: int) -> dict[str, tuple[Any, str, str]]:
-    return {each.name: (each.value, *each[5:7]) for each in Polls().readings(*cells)}
+    return {reading.name: (reading.value, *reading[5:7]) for reading in Polls().readings(*cells)}
 
 
 def test_readings_have_values_by_what_they_mean() -> None:
@@ -237,12 +237,12 @@ def test_a_reading_without_a_value_is_bad_and_has_a_reason() -> None:
     assert values(5001, 0, 0, 0, 300, 0x7F80, 0)["current"] == (None, "bad", "Infinite")
 
 
-def test_a_total_that_falls_is_told_when_it_was_read_again() -> None:
+def test_a_total_that_falls_is_reported_when_it_was_read_again() -> None:
     polls = Polls()
 
     def total(value: int) -> list[tuple[Any, str, str]]:
         readings = polls.readings(1, 0, 0, value, 0, 0, 0)
-        return [(each.value, *each[5:7]) for each in readings if each.name == "total"]
+        return [(reading.value, *reading[5:7]) for reading in readings if reading.name == "total"]
 
     assert total(10) == [(10, "good", "")]
     assert total(3) == []

@@ -55,7 +55,7 @@ def sections() -> dict[str, list[tuple[str, str]]]:
 def block(section: str, language: str, containing: str = "") -> str:
     """Return the only block of a language in a section that contains a text."""
     (text_,) = [
-        text for each, text in sections()[section] if each == language and containing in text
+        text for entry, text in sections()[section] if entry == language and containing in text
     ]
     return text_
 
@@ -151,7 +151,7 @@ def test_telegraf_gets_lines_from_the_command_at_once(plant: Path) -> None:
     assert (inputs["signal"], inputs["data_format"]) == ("none", "influx")
     name, *arguments = inputs["command"]
     assert name == "libmodbus-py"
-    with Started(*(plant if each.endswith(".toml") else each for each in arguments)) as started:
+    with Started(*(plant if item.endswith(".toml") else item for item in arguments)) as started:
         for _ in range(2):  # it comes while the command runs
             line = started.stdout.readline()
             assert re.fullmatch(
@@ -195,7 +195,7 @@ async def test_node_red_reads_and_writes_topics_that_there_are(plant: Path, brok
     nodes = {node["id"]: node for node in json.loads(block("Node-RED", "json"))}
     for node in nodes.values():
         assert {target for wires in node.get("wires", ()) for target in wires} <= nodes.keys()
-    assert {nodes[each]["broker"] for each in ("in", "out")} == {"broker"}
+    assert {nodes[entry]["broker"] for entry in ("in", "out")} == {"broker"}
     assert nodes["broker"]["type"] == "mqtt-broker"
     messages = await heard_from(plant, broker, nodes["in"]["topic"])
     (rule,) = nodes["good"]["rules"]
@@ -214,10 +214,10 @@ async def test_the_button_of_node_red_writes(plant: Path, broker: Broker) -> Non
     with Started("poll", plant):
         async with hearing(broker, "plant/north/setpoint", f"{topic}/result") as messages:
             # A reading is published after the output has subscribed to commands.
-            await until(lambda: "plant/north/setpoint" in [each[0] for each in messages])
+            await until(lambda: "plant/north/setpoint" in [message[0] for message in messages])
             await publish(broker, topic, nodes["button"]["payload"].encode())
-            await until(lambda: f"{topic}/result" in [each[0] for each in messages])
-            (result,) = [payload for each, payload, _ in messages if each == f"{topic}/result"]
+            await until(lambda: f"{topic}/result" in [message[0] for message in messages])
+            (result,) = [payload for item, payload, _ in messages if item == f"{topic}/result"]
     assert result["ok"] is True
 
 
@@ -266,8 +266,8 @@ def test_a_file_that_logrotate_renames_is_begun_anew(plant: Path, hangs_up: bool
         printed += started.stdout.readlines()
         assert started.wait() == 0
     readings = []
-    for each in (old, path):
-        with each.open(newline="") as file:
+    for entry in (old, path):
+        with entry.open(newline="") as file:
             header, *rows = csv.reader(file, strict=True)
         assert header[:3] == ["time", "device", "name"]
         assert rows

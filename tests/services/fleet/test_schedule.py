@@ -15,10 +15,10 @@ from tests.simulation.plants import MAP, ONE, Plant
 def test_phases_are_spread_evenly() -> None:
     """Ten thousand devices each 5 s: in no tenth of a second begin twice as many as should."""
     times = [first_time(f"device {number}", 5.0, 100.0, 1e9) for number in range(10_000)]
-    assert all(100.0 <= each < 105.0 for each in times)
+    assert all(100.0 <= time_ < 105.0 for time_ in times)
     counts = [0] * 50
-    for each in times:
-        counts[int((each - 100.0) * 10)] += 1
+    for time_ in times:
+        counts[int((time_ - 100.0) * 10)] += 1
     assert 100 < min(counts) <= max(counts) < 300
 
 
@@ -40,7 +40,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, int]]] = {
 
 
 def counted(statistics: FleetStatistics) -> dict[str, int]:
-    counts = {each.name: getattr(statistics, each.name) for each in fields(statistics)}
+    counts = {field.name: getattr(statistics, field.name) for field in fields(statistics)}
     return {name: value for name, value in counts.items() if name in COUNTED and value}
 
 

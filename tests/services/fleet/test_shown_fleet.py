@@ -224,7 +224,7 @@ async def test_a_value_that_is_only_reported_when_it_changes_is_as_old_as_the_la
 
 
 @in_simulated_time
-async def test_devices_that_are_replaced_while_somebody_looks() -> None:
+async def test_devices_that_are_replaced_while_a_page_is_open() -> None:
     async with Peer() as peer:
         fleet, view, _ = shown_fleet(meter("a", peer.url), meter("b", peer.url, unit=2))
         async with fleet:

@@ -15,10 +15,10 @@ OFFLINE = [("voltage", None, "V"), ("power", None, "W"), ("setpoint", None, "C")
 
 def offline(readings: Sequence[Reading], device: str) -> list[tuple[str, object, str]]:
     """The points of a device that were taken back, and that none was reported behind that."""
-    own = [each for each in readings if each.device == device]
-    first = next((at for at, each in enumerate(own) if each.quality == "offline"), len(own))
-    assert all(each.quality == "offline" for each in own[first:])
-    return [(each.name, each.value, each.units) for each in own[first:]]
+    own = [reading for reading in readings if reading.device == device]
+    first = next((at for at, reading in enumerate(own) if reading.quality == "offline"), len(own))
+    assert all(reading.quality == "offline" for reading in own[first:])
+    return [(entry.name, entry.value, entry.units) for entry in own[first:]]
 
 
 @in_simulated_time
@@ -43,7 +43,7 @@ async def test_of_a_device_that_stays_only_points_that_are_gone_are_taken_back()
         fleet.replace([meter("a", peer.url, items=("power",), interval=0.2)])
         polls = fleet.statistics.polls
         await until(lambda: fleet.statistics.polls > polls + 1)
-        names = [each.name for each in readings if each.quality == "offline"]
+        names = [reading.name for reading in readings if reading.quality == "offline"]
         assert names == ["voltage", "setpoint"]
         assert readings[-1][2:6] == ("power", 7, "W", "good")
 
@@ -76,7 +76,7 @@ async def test_a_point_that_another_fleet_polls_now_is_not_reported_offline() ->
         async with polling(device) as (fleet, readings):
             await until(lambda: fleet.statistics.up)
             fleet.replace([], passed_on={device.connection_key})
-        assert {each.quality for each in readings} == {"good"}
+        assert {reading.quality for reading in readings} == {"good"}
 
 
 @in_simulated_time
@@ -97,14 +97,14 @@ async def test_values_that_were_taken_back_are_reported_again_though_they_did_no
             may_ask = True
             await until(lambda: len(readings) == 9)
             assert fleet.statistics.up == 1
-            assert [each.quality for each in readings[6:]] == 3 * ["good"]
+            assert [reading.quality for reading in readings[6:]] == 3 * ["good"]
 
 
 @in_simulated_time
 async def test_the_last_values_of_what_is_not_polled_any_more_are_gone() -> None:
     def last() -> set[tuple[str, str]]:
         pollers = fleet.devices.values()
-        return {(each.name, point.name) for each in pollers for point in each.last_values()}
+        return {(poller.name, point.name) for poller in pollers for point in poller.last_values()}
 
     async with Peer(good) as peer:
         devices = [meter(name, peer.url, unit=unit) for unit, name in enumerate("ab", 1)]

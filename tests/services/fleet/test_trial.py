@@ -12,11 +12,11 @@ from tests.support.cases import each_case
 
 
 async def trials(*devices: object) -> dict[str, TrialPoll]:
-    return {each.device.name: each async for each in trial_polls(devices)}  # type: ignore[arg-type]
+    return {item.device.name: item async for item in trial_polls(devices)}  # type: ignore[arg-type]
 
 
 @in_simulated_time
-async def test_the_time_of_each_poll_is_told() -> None:
+async def test_the_time_of_each_poll_is_reported() -> None:
     async def slow(request: bytes) -> bytes:
         await asyncio.sleep(2 if request[6] == 1 else 3)
         return await good(request)
@@ -28,7 +28,7 @@ async def test_the_time_of_each_poll_is_told() -> None:
         results = await trials(first, second)
     assert results["a"].seconds == pytest.approx(2, abs=0.01)
     assert results["b"].seconds == pytest.approx(3, abs=0.01)
-    assert {each.problem for each in results.values()} == {""}
+    assert {result.problem for result in results.values()} == {""}
 
 
 @in_simulated_time
@@ -51,7 +51,7 @@ async def test_a_device_has_one_request_at_a_time() -> None:
 
 
 @in_simulated_time
-async def test_the_first_of_the_values_that_cannot_be_is_told() -> None:
+async def test_the_first_of_several_invalid_values_is_named() -> None:
     points = [Point(f"p{number}", "holding_registers", number, type="bcd16") for number in range(3)]
     # A quiet NaN of IEEE 754.
     ratio = Point("ratio", "holding_registers", 3, type="float32")
@@ -104,7 +104,7 @@ async def test_a_defect_ends_the_trial(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @in_simulated_time
-async def test_devices_that_do_not_answer_are_told_with_the_reason() -> None:
+async def test_devices_that_do_not_answer_are_reported_with_the_reason() -> None:
     async with Peer() as peer, Peer(silent) as dead:
         results = await trials(
             meter("good", peer.url),
@@ -139,7 +139,7 @@ ASCII_S = (17 + 2 * 10 + 3) * 10 / 9600
 )
 def test_lines_that_cannot_keep_their_intervals(url, intervals, message) -> None:
     devices = [
-        meter(f"{unit}", url, unit=unit, interval=each) for unit, each in enumerate(intervals, 1)
+        meter(f"{unit}", url, unit=unit, interval=item) for unit, item in enumerate(intervals, 1)
     ]
     assert overloads(devices) == ([message] if message else [])
 

@@ -28,7 +28,7 @@ OVER_TCP = [attack for attack in ATTACKS if attack.scheme == "tcp"]
 
 
 @pytest.mark.parametrize("attack", OVER_TCP, ids=lambda attack: attack.name.replace(" ", "-"))
-def test_an_innocent_client_waits_for_few_of_the_others(lan: Lan, attack: Attack) -> None:
+def test_a_client_waits_for_few_requests_of_a_flood(lan: Lan, attack: Attack) -> None:
     """Counted in requests to the device: a refused one costs it nothing."""
     device = Server({UNIT: Device(Mapping(holding_registers=2000))})
     with device.background("tcp://10.0.0.9:0") as behind:
@@ -60,7 +60,7 @@ ANYTHING: dict[str, Callable[[bytes], bytes]] = {
 
 
 @pytest.mark.parametrize("what", ANYTHING)
-def test_a_device_that_says_anything_has_nothing_of_it_passed_on(lan: Lan, what: str) -> None:
+def test_invalid_answers_of_a_device_are_not_forwarded(lan: Lan, what: str) -> None:
     """Invalid responses become exception 0B; unasked ones, and those for others, are dropped."""
 
     def answer(request: bytes, write: Write) -> None:
@@ -89,7 +89,7 @@ def test_a_device_that_says_anything_has_nothing_of_it_passed_on(lan: Lan, what:
         assert any(answers_again() for _ in range(60))
 
 
-def test_floods_from_many_connections_leave_a_line_to_everybody(lan: Lan) -> None:
+def test_every_client_gets_answers_during_floods_from_many_connections(lan: Lan) -> None:
     """As much as goes on eight connections of a host, and one client that asks in turn."""
     request = b"\0\1\0\0\0\6\1\3\0\0\0\1"
     with (

@@ -36,7 +36,7 @@ def test_a_broadcast_reaches_every_unit_of_every_line(lan: Lan, front: str) -> N
     ):
         context.write_registers(2, [8, 9])
         lan.pass_time(0.1)
-        assert all(each.mapping.holding_registers[2:4] == [8, 9] for each in devices)
+        assert all(device.mapping.holding_registers[2:4] == [8, 9] for device in devices)
         assert gateway_.traffic.broadcasts == 1
         if front != "rtu+tcp":  # there a client knows that nobody answers
             with pytest.raises(GatewayPathUnavailable):
@@ -105,7 +105,7 @@ def test_the_rules_of_all_routes_of_a_line_hold_for_a_broadcast(lan: Lan) -> Non
             with pytest.raises(IllegalFunction):
                 context.write_register(0, 7)
             lan.pass_time(1)
-            assert [each.mapping.holding_registers[0] for each in devices] == [0, 0]
+            assert [device.mapping.holding_registers[0] for device in devices] == [0, 0]
             assert gateway_.traffic.broadcasts == 0
 
 

@@ -33,7 +33,7 @@ def test_the_example_has_every_key_and_is_read() -> None:
         assert key in text
 
 
-def test_mistakes_are_told_with_file_line_and_key(tmp_path: Path, refused: Refused) -> None:
+def test_mistakes_are_reported_with_file_line_and_key(tmp_path: Path, refused: Refused) -> None:
     path = tmp_path / "gateway.toml"
 
     def load(text: str) -> None:

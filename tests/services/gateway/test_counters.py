@@ -144,7 +144,7 @@ CASES = {
 def counted(statistics: Any, *left_out: str) -> dict[str, int]:
     """Return the counters that are not 0."""
     left_out += "url", "connection", "units", "lines", "seconds", "since"
-    counts = {each.name: getattr(statistics, each.name) for each in fields(statistics)}
+    counts = {field.name: getattr(statistics, field.name) for field in fields(statistics)}
     return {name: value for name, value in counts.items() if value and name not in left_out}
 
 
@@ -185,13 +185,13 @@ def test_each_request_counts_once(lan: Lan, name, caplog) -> None:
         assert answers == case.answers
         assert counted(gateway.traffic) == case.gateway
         assert counted(line) == case.line
-        assert {unit: counted(each) for unit, each in line.units.items() if counted(each)} == (
+        assert {unit: counted(entry) for unit, entry in line.units.items() if counted(entry)} == (
             case.units
         )
-        for each in line.units.values():
+        for unit in line.units.values():
             # The first answer of a line is held for twice its time.
-            assert 0.8 <= each.seconds / (DELAY * each.answers or 1.0) <= 3.4 or not each.answers
-        refused = sum(each.startswith("8") for each in answers)
+            assert 0.8 <= unit.seconds / (DELAY * unit.answers or 1.0) <= 3.4 or not unit.answers
+        refused = sum(answer.startswith("8") for answer in answers)
         assert gateway.statistics.refused == refused
         assert gateway.statistics.unauthorized == (case.options.get("authorize") is no)
         assert len(caplog.messages) == (case.options.get("authorize") is failing)

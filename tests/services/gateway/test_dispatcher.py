@@ -56,7 +56,7 @@ def test_the_gateway_itself_is_unit_255_with_its_statistics(lan: Lan) -> None:
         assert own.read_device_identification().names["ProductCode"] == "Gateway"
 
 
-def test_255_goes_where_a_route_says_it_and_the_gateway_where_it_is_told(lan: Lan) -> None:
+def test_unit_255_has_a_route_and_other_units_are_own(lan: Lan) -> None:
     with (
         Server({255: numbered(7)}).background("tcp://10.0.0.9:0") as behind,
         gateway([Route(behind.urls[0], "255")], own_units=[0, 250]) as (_, url),

@@ -129,8 +129,8 @@ async def test_requests_of_a_silent_function_are_refused_together_until_it_answe
     reader, asker = Asker("192.0.2.1"), Asker("192.0.2.2")
     plant.ask(9, reader)
     await asyncio.sleep(1)
-    for request, each in ((UNKNOWN, asker), (UNKNOWN, asker), (READ, reader)):
-        plant.ask(9, each, request)
+    for request, entry in ((UNKNOWN, asker), (UNKNOWN, asker), (READ, reader)):
+        plant.ask(9, entry, request)
     await asyncio.sleep(3 * TIMEOUT)
     assert asker.answers == [f"88{NO_ANSWER:02x}"] * 2
     assert plant.asked == [9, -8, 9]
@@ -175,7 +175,7 @@ async def test_a_unit_that_had_less_than_half_of_the_timeout_is_not_silent(
 
 
 @on_line(f"{LINE}?timeout=2")
-async def test_a_damaged_answer_has_its_unit_wait_and_nobody_else(plant: Plant) -> None:
+async def test_a_damaged_answer_delays_only_its_unit(plant: Plant) -> None:
     """The line must be silent before that unit is asked again; others need not wait for it."""
     plant.damaging = {1}
     asker = Asker()
@@ -194,9 +194,7 @@ async def test_a_damaged_answer_has_its_unit_wait_and_nobody_else(plant: Plant) 
 
 
 @on_line(longest_wait=0.01)
-async def test_a_client_that_leaves_when_it_is_told_so_takes_its_other_requests_with_it(
-    plant: Plant,
-) -> None:
+async def test_a_client_may_leave_while_it_gets_a_response(plant: Plant) -> None:
     class Leaving(Asker):
         def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
             super().take_response(forwarded, response)
@@ -245,7 +243,7 @@ def test_the_queue_of_all_clients_together_is_limited(monkeypatch: pytest.Monkey
         askers = [Asker(f"192.0.2.{host}") for host in range(6)]
         for asker in askers:
             plant.ask(1, asker)
-        assert [each.answers for each in askers[4:]] == [[f"code {BUSY}"]] * 2
+        assert [asker.answers for asker in askers[4:]] == [[f"code {BUSY}"]] * 2
 
     plant.run(main)
 
@@ -332,8 +330,8 @@ async def test_a_client_that_leaves_costs_no_other_client_its_answer(
     for name, asker in askers.items():
         assert asker.answers == ([] if name in leaving else [answer_of(2, 2)])
     # Nothing holds requests together that are over.
-    assert [each.requester for each in waiting.values()] == [None] * 3
-    assert units == [1] or [each.first for each in waiting.values()] == [None] * 3
+    assert [entry.requester for entry in waiting.values()] == [None] * 3
+    assert units == [1] or [entry.first for entry in waiting.values()] == [None] * 3
     # A read that no client waits for any more cannot be joined.
     later = Asker()
     plant.ask(2, later, merge=True)
@@ -379,7 +377,7 @@ async def test_a_client_that_joined_a_read_late_is_not_refused_when_the_first_on
 
 
 @on_line("tcp://10.0.0.1")
-async def test_a_device_that_is_not_there_is_told_once_and_when_it_is_back(
+async def test_a_missing_device_is_logged_once_and_when_it_is_back(
     plant: Plant, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = iter(range(100, 1000))

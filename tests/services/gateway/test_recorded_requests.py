@@ -53,7 +53,7 @@ def recorded(lan: Lan, events: Events, **options: Any) -> Iterator[Client]:
 
 
 def rows(events: Events) -> list[tuple[str, int | None, int | None, str]]:
-    return [(each.event, each.unit, each.function, each.result) for each in events]
+    return [(event.event, event.unit, event.function, event.result) for event in events]
 
 
 def test_a_write_is_recorded_with_its_outcome(lan: Lan, events: Events) -> None:
@@ -110,7 +110,7 @@ def test_an_authorize_that_raises_is_recorded_and_answers_like_it_are_not(
             with pytest.raises(IllegalFunction):  # neither has such a function
                 client.execute(pdu.EncapsulatedTransport(13, b""))
     illegal, busy = "illegal function (exception 1)", "server device busy (exception 6)"
-    assert [each for each in rows(events) if each[0] == "refused"] == [
+    assert [row for row in rows(events) if row[0] == "refused"] == [
         ("refused", unit, function, result)
         for unit in (1, 255)
         for function, result in ((1, illegal), (2, busy))
@@ -149,8 +149,8 @@ def test_a_client_that_is_gone_has_its_broadcast_recorded_once(lan: Lan, events:
             assert events == []
             client.reset()
             lan.pass_time(1)
-            assert [each.unit for each in events] == [0]
+            assert [event.unit for event in events] == [0]
             gate.open()
             lan.pass_time(5)
-        writes = [each for each in events if each.unit == 0]
+        writes = [event for event in events if event.unit == 0]
         assert len(writes) == 1

@@ -61,7 +61,7 @@ def test_only_writes_that_a_rule_allows_are_executed(lan: Lan) -> None:
         assert context.read_holding_registers(109, 3) == [1109, 0, 1]
 
 
-def test_a_cached_answer_is_refused_to_those_who_may_not_read_it(lan: Lan) -> None:
+def test_a_cached_answer_is_refused_to_unauthorized_clients(lan: Lan) -> None:
     with (
         passage(
             "tcp",
@@ -83,7 +83,7 @@ def test_a_cached_answer_is_refused_to_those_who_may_not_read_it(lan: Lan) -> No
 
 
 @pytest.mark.parametrize("code", [0, 0x80, 0x83, 0xFF])
-def test_a_function_code_that_cannot_be_is_refused(code: int) -> None:
+def test_an_invalid_function_code_is_refused(code: int) -> None:
     with pytest.raises(IllegalFunction) as raised:
         request_of(bytes([code, 1, 2]))
     assert raised.value.function == code

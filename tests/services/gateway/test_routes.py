@@ -47,8 +47,8 @@ def test_units_may_be_others_on_the_line(units, device_units, ways) -> None:
 
 
 def test_routes_are_equal_however_their_units_were_given() -> None:
-    routes = [Route(TCP, "1-3", each) for each in ("11-13", [11, 12, 13], iter((11, 12, 13)))]
-    assert [each.device_units for each in routes] == [(11, 12, 13)] * 3
+    routes = [Route(TCP, "1-3", entry) for entry in ("11-13", [11, 12, 13], iter((11, 12, 13)))]
+    assert [route.device_units for route in routes] == [(11, 12, 13)] * 3
     assert routes[0] == routes[1] == routes[2]
 
 
@@ -119,7 +119,7 @@ def test_an_address_of_this_machine_is_found_by_binding_to_it(monkeypatch) -> No
     monkeypatch.setattr(socket.socket, "bind", lambda self, address: bound.append(address))
     for host in ("192.0.2.99", "[2001:db8::99]"):
         assert leads_back(f"tcp://{host}:1502", "tcp://0.0.0.0:1502")
-    assert [each[:2] for each in bound] == [("192.0.2.99", 0), ("2001:db8::99", 0)]
+    assert [row[:2] for row in bound] == [("192.0.2.99", 0), ("2001:db8::99", 0)]
 
 
 def test_a_serial_port_is_the_same_by_any_of_its_names(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ class Counted:
 
     def __init__(self) -> None:
         self.lines = [LineStatistics(url, Statistics()) for url in (FIRST, SECOND)]
-        self.traffic = GatewayStatistics({each.url: each for each in self.lines})
+        self.traffic = GatewayStatistics({line.url: line for line in self.lines})
         self.statistics = ServerStatistics()
         self.shown: Any = ShownGateway("house", self)  # type: ignore[arg-type]
 
@@ -169,7 +169,7 @@ def test_lines_units_and_clients_of_a_gateway_on_a_page(monkeypatch: pytest.Monk
                 visitor.look_at(problems=True)
                 read = "3 read holding registers"
                 visitor.receive(lambda: len(visitor.rows("rows")) == 4)
-                assert [name_of(each)[-1] for each in visitor.rows("rows")] == [
+                assert [name_of(row)[-1] for row in visitor.rows("rows")] == [
                     *("unit 2", absent, f"unit 2, {read}", f"unit 9, {read}")
                 ]
                 rate = visitor.history(["", there], 60, "rate")

@@ -55,7 +55,7 @@ def every_function(context: Client) -> None:
         context.execute(pdu.EncapsulatedTransport(13, b"abc"))
 
 
-def test_functions_that_nobody_knows_go_through_as_bytes(lan: Lan) -> None:
+def test_unknown_functions_are_forwarded_as_bytes(lan: Lan) -> None:
     """On a line between, their ends are found by the CRC."""
 
     @pdu.register

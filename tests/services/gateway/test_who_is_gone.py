@@ -50,8 +50,8 @@ def test_a_request_that_waits_for_the_connection_is_not_sent(url: str) -> None:
             plant.ask(2, Asker(), merge=True),
         ]
         await asyncio.sleep(CONNECT_DELAY / 2)
-        for each in requests:
-            plant.line.leave(each)
+        for request in requests:
+            plant.line.leave(request)
         assert plant.line.statistics.in_flight == 0
         await asyncio.sleep(2 * CONNECT_DELAY)
         assert plant.peer.requests == []
@@ -150,19 +150,19 @@ def test_a_silent_unit_delays_reads_of_others_by_one_timeout_at_most(url, unit, 
         readers = [Reader(f"192.0.2.{number}") for number in range(4)]
         readers[0].read()
         await asyncio.sleep(0.2)
-        for each in readers[1:]:
-            each.read()
-        askers = {Asker(f"198.51.100.{number}"): each for number, each in enumerate(requests)}
+        for reader in readers[1:]:
+            reader.read()
+        askers = {Asker(f"198.51.100.{number}"): request for number, request in enumerate(requests)}
         while len(took) < 1000:
             for asker, request in askers.items():
                 plant.ask(unit, asker, request)
             await asyncio.sleep(0.1)
-        answers = [answer for each in readers for answer in each.answers]
+        answers = [answer for reader in readers for answer in reader.answers]
         assert {str(answer)[:4] for answer in answers} == {"0302"}
         assert plant.unit(unit).timeouts + plant.unit(unit).given_up > 1
         assert max(took) < timeouts * (TIMEOUT + 6 * plant.delay)
         # Each trial after it costs no more than an answer of the others, but for one in sixteen.
-        assert len([each for each in took if each > 0.9 * TIMEOUT]) <= 2 * len(readers)
+        assert len([seconds for seconds in took if seconds > 0.9 * TIMEOUT]) <= 2 * len(readers)
 
     plant.run(main)
 

@@ -22,7 +22,7 @@ def test_promtool_accepts_the_rules_and_what_they_report(arguments: tuple[str | 
 
 
 def test_rules_and_their_tests_use_metrics_that_exist() -> None:
-    names = {each.name + ("_total" if each.type == "counter" else "") for each in FAMILIES}
+    names = {family.name + ("_total" if family.type == "counter" else "") for family in FAMILIES}
     metrics = set(re.findall(r"\bmodbus_\w+", RULES.read_text() + TESTS.read_text()))
     assert metrics - names == set()
 

@@ -219,7 +219,7 @@ PLACES: dict[str, Make] = {
 
 
 @pytest.mark.parametrize(("url", "make"), PLACES.items(), ids=PLACES)
-def test_params_lead_where_they_say(url: str, make: Make) -> None:
+def test_params_lead_to_their_endpoint(url: str, make: Make) -> None:
     assert backend.ModbusConnection(make()).url == url
 
 

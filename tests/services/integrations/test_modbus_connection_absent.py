@@ -11,7 +11,7 @@ NAME = "libmodbus_py.services.integrations.modbus_connection"
 
 
 def test_import_says_in_one_line_what_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in [each for each in sys.modules if each.startswith(NAME)]:
+    for name in [module for module in sys.modules if module.startswith(NAME)]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "modbus_connection", None)
     with pytest.raises(ImportError) as caught:

@@ -74,7 +74,7 @@ def hang_up(server: Scripted) -> Callable[[bytes, Write], object]:
 
 
 @served()
-async def test_a_loss_in_the_midst_fails_the_request_and_is_told_once(
+async def test_a_loss_during_a_request_fails_it_and_is_reported_once(
     server: Scripted, connection: Any
 ) -> None:
     losses: list[bool] = []
@@ -95,7 +95,7 @@ async def test_a_loss_in_the_midst_fails_the_request_and_is_told_once(
 
 
 @served()
-async def test_a_loss_at_rest_is_told_without_a_request(server: Scripted, connection: Any) -> None:
+async def test_a_loss_of_an_idle_connection_is_reported(server: Scripted, connection: Any) -> None:
     losses: list[None] = []
     connection.on_connection_lost(lambda: losses.append(None))
     await read(connection)
@@ -119,7 +119,7 @@ async def test_the_hook_that_their_tests_call_ends_a_connection_for_the_next_req
     connection._on_connection_lost(None)
 
 
-def test_a_callback_that_raises_harms_nobody() -> None:
+def test_a_callback_that_raises_has_no_effect_on_others() -> None:
     complaints: list[Any] = []
 
     async def go() -> None:
@@ -135,7 +135,7 @@ def test_a_callback_that_raises_harms_nobody() -> None:
             await connection.close()
 
     asyncio.run(go())
-    assert [type(each["exception"]) for each in complaints] == [ZeroDivisionError]
+    assert [type(complaint["exception"]) for complaint in complaints] == [ZeroDivisionError]
 
 
 @served(timeout=SHORT)
@@ -144,8 +144,8 @@ async def test_a_late_answer_is_not_the_next_ones(server: Scripted, connection: 
 
     def late(request: bytes, write: Write) -> None:
         requests.append(request)
-        for each in requests if len(requests) > 1 else []:
-            write(answer(each))
+        for entry in requests if len(requests) > 1 else []:
+            write(answer(entry))
 
     server.on_request = late
     with pytest.raises(theirs.ModbusTimeoutError):
@@ -209,7 +209,7 @@ async def test_cancelled_reads_mix_no_answer(server: Scripted, connection: Any, 
 
 
 @pytest.mark.parametrize("turns", [1, 2, 3, 5, 8])
-def test_connecting_that_nobody_waits_for_leaves_nothing(turns: int) -> None:
+def test_a_cancelled_connect_leaves_nothing(turns: int) -> None:
     async def go() -> None:
         async with Scripted(echo).serving() as server:
             connecting = asyncio.create_task(
@@ -222,7 +222,7 @@ def test_connecting_that_nobody_waits_for_leaves_nothing(turns: int) -> None:
             if not connecting.cancelled():
                 await connecting.result().close()
             await until(lambda: server.writers)
-            await until(lambda: all(each.transport.is_closing() for each in server.writers))
+            await until(lambda: all(writer.transport.is_closing() for writer in server.writers))
 
     run(go())
 

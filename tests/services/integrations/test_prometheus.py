@@ -153,7 +153,7 @@ def test_the_histogram_puts_answers_where_they_belong(registry: CollectorRegistr
     """Each bound that is beyond the way to the peer has an answer that comes before it."""
     network = Network()
     took = [0.9 * bound for bound in TIME_BOUNDS if bound > 2 * WAY]
-    delays = [*(each - WAY for each in took), 60.0]
+    delays = [*(seconds - WAY for seconds in took), 60.0]
 
     def late(request: bytes, write: Write) -> None:
         write(echo(request), after=delays[len(peer.requests) - 1])
@@ -166,7 +166,7 @@ def test_the_histogram_puts_answers_where_they_belong(registry: CollectorRegistr
         with pytest.raises(ModbusTimeoutError):
             plc.read_holding_registers(0, 1)
         samples = values(registry)
-    below = [sum(each <= bound for each in took) for bound in TIME_BOUNDS]
+    below = [sum(seconds <= bound for seconds in took) for bound in TIME_BOUNDS]
     assert histogram(samples, peer.url) == [*below, len(took)]
     total = of_client(samples, "request_duration_seconds_sum", peer.url)
     assert total == pytest.approx(sum(took))
@@ -190,7 +190,7 @@ def test_the_last_success_is_a_time_of_day(registry: CollectorRegistry) -> None:
 
 @each_case("kind", OF_ATTRIBUTES)
 def test_every_number_of_statistics_has_a_metric(kind: type) -> None:
-    numbers = {each.name for each in dataclasses.fields(kind) if each.type in ("int", "bool")}
+    numbers = {field.name for field in dataclasses.fields(kind) if field.type in ("int", "bool")}
     assert numbers <= OF_ATTRIBUTES[kind].keys()
 
 
@@ -200,7 +200,7 @@ def test_names_and_texts_follow_the_rules_of_prometheus(registry: CollectorRegis
         plc.read_coils(0, 1)
         collect(server, plc, fleet, registry=registry)
         text = generate_latest(registry).decode()
-    families = {each.name: each for each in text_string_to_metric_families(text)}
+    families = {item.name: item for item in text_string_to_metric_families(text)}
     assert families["modbus_client_requests_sent"].type == "counter"
     assert families["modbus_server_connections"].type == "gauge"
     assert families["modbus_server_connections"].documentation == (
@@ -211,7 +211,7 @@ def test_names_and_texts_follow_the_rules_of_prometheus(registry: CollectorRegis
             assert re.match(r"modbus_(client|server|fleet)_[a-z_]+[ {]", line)
     # The stricter form of the same.
     strict = [*parse_openmetrics(generate_openmetrics(registry).decode())]
-    assert {each.name for each in strict} == families.keys()
+    assert {entry.name for entry in strict} == families.keys()
 
 
 def test_the_end_of_a_certificate_is_a_metric_while_its_endpoint_is_open(
@@ -242,14 +242,14 @@ def test_names_tell_servers_apart_and_equal_ones_add_up(registry: CollectorRegis
     collect(servers[2], servers[3], name="boilers", registry=registry)
     collect(servers[4], name="pumps", registry=registry)
     name = "modbus_server_accepted_total"
-    samples = {labels: value for (each, labels), value in values(registry).items() if each == name}
+    samples = {labels: value for (item, labels), value in values(registry).items() if item == name}
     assert samples == {(): 11, (("server", "boilers"),): 1100, (("server", "pumps"),): 10000}
 
 
 def test_a_client_is_counted_once_however_often_it_is_added(registry: CollectorRegistry) -> None:
     with served() as (_, url), Client(url) as plc:
-        for each in (plc, plc, plc.for_unit(2)):
-            collect(each, registry=registry)
+        for entry in (plc, plc, plc.for_unit(2)):
+            collect(entry, registry=registry)
         plc.read_coils(0, 1)
         plc.for_unit(9).read_coils(0, 1)
         assert of_client(values(registry), "requests_sent_total", url) == 2
@@ -276,7 +276,7 @@ def test_a_counter_does_not_fall_when_one_of_two_clients_is_dropped(registry: Co
     assert not values(registry)
 
 
-def test_clients_that_come_and_go_leave_nothing_though_nobody_scrapes(registry: CollectorRegistry):
+def test_clients_that_come_and_go_leave_nothing_without_a_scrape(registry: CollectorRegistry):
     stays = Client("tcp://127.0.0.1:1")
     collector = collect(stays, registry=registry)
     for turn in range(200):
@@ -285,7 +285,7 @@ def test_clients_that_come_and_go_leave_nothing_though_nobody_scrapes(registry: 
         if turn in (100, 199):
             gc.collect()
             collect(stays, registry=registry)
-            holders = [each for each in vars(collector).values() if hasattr(each, "__len__")]
+            holders = [var for var in vars(collector).values() if hasattr(var, "__len__")]
             assert max(map(len, holders)) <= 3
     stays.close()
 
@@ -317,7 +317,7 @@ def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegi
 
     def scrape() -> list[float]:
         counts = []
-        while not all(each.done() for each in asking):
+        while not all(entry.done() for entry in asking):
             counts.append(of(values(registry), "modbus_server_requests_total"))
         return counts
 
@@ -326,10 +326,10 @@ def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegi
         clients = [stack.enter_context(Client(url)) for _ in range(2)]
         collect(server, *clients, registry=registry)
         threads = stack.enter_context(ThreadPoolExecutor(4))
-        asking = [threads.submit(ask, each) for each in clients]
-        for each in [threads.submit(scrape) for _ in range(2)]:
-            assert each.result() == sorted(each.result())
-        assert [each.result() for each in asking] == [None, None]
+        asking = [threads.submit(ask, client) for client in clients]
+        for thread in [threads.submit(scrape) for _ in range(2)]:
+            assert thread.result() == sorted(thread.result())
+        assert [future.result() for future in asking] == [None, None]
         now = values(registry)
     assert of_client(now, "requests_total", url, function="6", result="ok") == 400
     assert of(now, "modbus_server_requests_total") == 400
@@ -483,7 +483,7 @@ async def test_each_device_is_there_once_and_goes_with_its_fleet() -> None:
             early = values(registry)
             assert of(early, "modbus_fleet_device_up", device="b") == 0
             assert of(early, "modbus_fleet_device_down", device="b", reason="NotPolledYet") == 1
-            await until_simulated(lambda: min(each.statistics.readings for each in fleets) > 5)
+            await until_simulated(lambda: min(fleet.statistics.readings for fleet in fleets) > 5)
             samples = values(registry)
             assert of(samples, "modbus_fleet_polls_total") > 2
             assert of(samples, "modbus_fleet_device_up", device="a", site_1="Halle") == 1

@@ -53,8 +53,8 @@ class OneWorker:
         self.last = Decision({})
         self.worker.begin_snapshot()
         self.write(SETTINGS, (settings or FleetSettings(LEASE)).encode())
-        for each in connections:
-            self.write(each.bucket_key, each.encode())
+        for connection in connections:
+            self.write(connection.bucket_key, connection.encode())
         if lives:
             self.member(self.me, 0.0)
         self.worker.end_snapshot(0.0)
@@ -204,12 +204,12 @@ class Process:
             return
         if self.again_at is not None and not self.is_cut and self.world.now >= self.again_at:
             self.watch()
-        ready = [each for each in self.inbox if each[0] <= self.world.now]
+        ready = [row for row in self.inbox if row[0] <= self.world.now]
         if self.world.random.random() < 0.2:
             ready = ready[: self.world.random.randrange(len(ready) + 1)]
-        for each in ready:
-            self.inbox.remove(each)
-            entry = each[2]
+        for row in ready:
+            self.inbox.remove(row)
+            entry = row[2]
             if entry is None:
                 self.worker.end_snapshot(self.now)
             else:

@@ -95,7 +95,7 @@ def no_worker(device: str) -> dict[str, Any]:
 
 
 @commanded(4)
-async def test_commands_are_carried_out_by_who_has_the_device(to: Listener) -> None:
+async def test_commands_are_carried_out_by_the_worker_of_the_device(to: Listener) -> None:
     for at in range(4):
         assert await to.ask(f"d{at}-1.setpoint", 20 + at) == {"ok": True}
         assert to.trial.levels.holding_registers[1] == 20 + at
@@ -108,7 +108,7 @@ async def test_commands_are_carried_out_by_who_has_the_device(to: Listener) -> N
 
 
 @commanded()
-async def test_one_worker_answers_for_a_device_that_nobody_has(to: Listener) -> None:
+async def test_one_worker_answers_for_an_unknown_device(to: Listener) -> None:
     outcome = {"ok": False, "error": "there is no device 'no.one'", "id": 7}
     messages = await to.heard("no%2Eone.setpoint", b'{"value": 1, "id": 7}')
     assert messages == [("modbus.written.no%2Eone.setpoint", outcome)]
@@ -200,7 +200,7 @@ async def test_commands_that_wait_are_bounded_and_not_carried_out_any_more(
     to: Listener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(messages, "MOST_WAITING", 5)
-    worker = next(each for each in to.trial.workers if to.device_of(each) == "d0-1")
+    worker = next(worker for worker in to.trial.workers if to.device_of(worker) == "d0-1")
     polling = to.trial.workers[worker].polling
     numbers: list[int] = []
     # The device takes as long for a write as the push takes to arrive.
@@ -240,7 +240,7 @@ async def test_one_of_two_workers_answers_what_comes_over_a_broker(trial: Trial)
 
     async def ask(device: str, point: str, value: object) -> dict[str, Any]:
         data = json.dumps(value).encode()
-        outcomes = [await each.commands.answer(device, point, data) for each in brokers]
+        outcomes = [await broker.commands.answer(device, point, data) for broker in brokers]
         (outcome,) = filter(None, outcomes)
         return timeless(outcome)
 
@@ -273,7 +273,7 @@ async def test_outcomes_are_sent_to_inboxes_only(to: Listener) -> None:
         assert await to.heard("d0-1.setpoint", b"20", reply) == [message]
     for reply in (INBOX, f"{INBOX}.9", "_INBOX_operator.x", "_R_.a.b", f"_GR_.a.b.{INBOX}"):
         messages = await to.heard("d0-1.setpoint", b"20", reply)
-        assert [each for each in messages if each[0] != reply] == [message]
+        assert [message for message in messages if message[0] != reply] == [message]
     assert await to.heard("d0-1.setpoint", b"20", INBOX) == [(INBOX, {"ok": True}), message]
 
 

@@ -20,7 +20,7 @@ def at_work(*connections: Connection, until: float = 12.0, **options: Any) -> On
     """Return a worker that has polled these connections for a while."""
     one = OneWorker(*connections, **options)
     one.steps(*every(0.0, until))
-    assert one.polled() == {each.key for each in connections}
+    assert one.polled() == {connection.key for connection in connections}
     return one
 
 
@@ -101,7 +101,7 @@ class TestSlots:
         one.member("b.1", 12.0)
         puts = one.decided(12.1)
         (slot,) = (put for put in puts if put.key != one.worker.key)
-        (moved,) = (each for each in (LINE, OTHER) if each.slot.key == slot.key)
+        (moved,) = (entry for entry in (LINE, OTHER) if entry.slot.key == slot.key)
         assert records([slot]) == {moved.slot.key: "b.1"}
         assert one.polled() == {LINE.key, OTHER.key} - {moved.key}
         # The write may still succeed when its heir has gone, and all was read again: only a second
@@ -156,7 +156,7 @@ class TestAcknowledgements:
         one.step(0.6)
         assert one.polled() == {LINE.key}
 
-    def test_who_has_vanished_is_waited_for_as_long_as_its_lease(self) -> None:
+    def test_a_vanished_worker_is_waited_for_as_long_as_its_lease(self) -> None:
         one = OneWorker(LINE)
         one.member("b.1", 0.0)
         one.step(0.0)

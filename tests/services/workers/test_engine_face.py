@@ -96,7 +96,7 @@ async def write(client: Any, key: str, value: bytes) -> None:
         (["--engine", "nats://h", "--zone", "a.b"], "zone 'a.b' must be 1..60 letters"),
     ],
 )
-def test_wrong_usage_is_told_before_anything_is_sent(file, options, message):
+def test_wrong_usage_is_reported_before_a_request_is_sent(file, options, message):
     line = failed("poll", file, *options, code=2)
     assert message in line
     assert "secret" not in line
@@ -157,7 +157,7 @@ def test_outcomes_commands_and_status_go_over_the_engine(tmp_path):
             assert answer.out, answer.err
             status = json.loads(answer.out)
             assert len(status["unreadable"]) == 1
-            (here,) = (each for each in status["workers"] if each["state"] == "here")
+            (here,) = (worker for worker in status["workers"] if worker["state"] == "here")
             assert here["id"].startswith("a.")
             assert here["devices"] == UNITS
 

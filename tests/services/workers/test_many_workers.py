@@ -64,7 +64,7 @@ EVENTS: list[Callable[[World], object]] = [
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_none_is_asked_by_two_whatever_happens_and_each_by_one_in_the_end(seed: int) -> None:
+def test_no_device_is_polled_by_two_workers_and_each_by_one_in_the_end(seed: int) -> None:
     world = World(seed)
     for at in range(10):
         world.configure(at)
@@ -80,7 +80,7 @@ def test_none_is_asked_by_two_whatever_happens_and_each_by_one_in_the_end(seed: 
         process.delay = 0.01
         # As each does from time to time: nobody is told what was purged.
         process.again_at = world.now
-    world.processes = [each for each in world.processes if not each.worker.has_left]
+    world.processes = [process for process in world.processes if not process.worker.has_left]
     for zone in ZONES:
         world.start(zone)
     world.run(6 * LEASE)
@@ -88,7 +88,7 @@ def test_none_is_asked_by_two_whatever_happens_and_each_by_one_in_the_end(seed: 
 
 
 def of(world: World) -> Counter[int]:
-    return Counter(id(each) for each in world.processes for key in each.worker.active if key)
+    return Counter(id(item) for item in world.processes for key in item.worker.active if key)
 
 
 def settled(*zones: str, processes: int, connections: int) -> World:
@@ -218,7 +218,7 @@ FAULTS = [
 
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("make", [two_zones, lambda: settled(processes=2, connections=10)])
-def test_none_is_asked_by_two(fault, make):
+def test_no_device_is_polled_by_two_workers(fault, make):
     world = make()
     assert world.unasked == []
     fault(world)
@@ -244,6 +244,6 @@ def test_a_slow_way_loses_no_lease(monkeypatch):
     world.run(LEASE)
     for _ in range(100):
         world.run(0.1 * LEASE)
-        assert all(each.worker.may_poll(each.now) for each in world.processes)
+        assert all(process.worker.may_poll(process.now) for process in world.processes)
     assert ids == [process.worker.id for process in world.processes]
     assert (world.doubles, world.unasked) == ([], [])

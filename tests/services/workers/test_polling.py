@@ -38,7 +38,7 @@ def _logged(caplog: pytest.LogCaptureFixture) -> None:
 def record_of(trial: Trial) -> dict[str, Any]:
     """Return the record that the worker wrote last."""
     latest = trial.engine.latest or {}
-    (value,) = [each.value for key, each in latest.items() if key.startswith("worker.")]
+    (value,) = [entry.value for key, entry in latest.items() if key.startswith("worker.")]
     record: dict[str, Any] = json.loads(value or b"")
     return record
 
@@ -142,11 +142,11 @@ async def test_a_worker_alone_decides_as_often_as_it_renews_its_lease(trial: Tri
 
 
 @on_trial(1, "a")
-async def test_an_engine_that_is_gone_is_told_once_a_minute_and_the_lease_when_it_changes(
+async def test_a_lost_engine_is_logged_once_a_minute_and_each_change_of_the_lease(
     trial: Trial, caplog: pytest.LogCaptureFixture
 ) -> None:
     def told() -> list[str]:
-        return [each.message for each in caplog.records if "workers" in each.name]
+        return [record.message for record in caplog.records if "workers" in record.name]
 
     trial.engine.stop()
     failure = "the engine: modbus-fleet: no server responds"
@@ -163,7 +163,7 @@ async def test_an_engine_that_is_gone_is_told_once_a_minute_and_the_lease_when_i
 @on_trial(1)
 async def test_an_unreadable_record_is_logged_and_polled_by_no_worker(trial: Trial, caplog) -> None:
     def connection(host: int, *names: str, devices: str = "") -> Connection:
-        devices_ = [DeviceConfig(each, f"tcp://10.0.1.{host}", MAP) for each in names]
+        devices_ = [DeviceConfig(name, f"tcp://10.0.1.{host}", MAP) for name in names]
         return Connection("", f"tcp:10.0.1.{host}:502", 0.5, devices or devices_to_json(devices_))
 
     bad = [
@@ -173,10 +173,10 @@ async def test_an_unreadable_record_is_logged_and_polled_by_no_worker(trial: Tri
     for key in (wrong := ("connection._.abc", "slot._.900", "worker.x.y")):
         trial.engine.write(key, b"[" * 5000)
     # Of two devices of one name, one is polled.
-    for each in (*bad, connection(4, "valve", "fan"), connection(5, "fan")):
-        trial.engine.write(each.bucket_key, each.encode())
+    for request in (*bad, connection(4, "valve", "fan"), connection(5, "fan")):
+        trial.engine.write(request.bucket_key, request.encode())
     await trial.start("a")
     await trial.settle()
     assert sorted(trial.workers["a"].polling.fleet.devices) == ["d0-1", "d0-2", "fan", "valve"]
     messages = sorted(text[: text.find(": ", 12)] for text in caplog.messages)
-    assert messages == sorted([f"the bucket: {key}" for key in wrong] + [each.key for each in bad])
+    assert messages == sorted([f"the bucket: {key}" for key in wrong] + [item.key for item in bad])

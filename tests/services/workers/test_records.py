@@ -95,9 +95,9 @@ async def test_the_readings_of_a_poll_are_one_message_and_a_repeated_one_is_drop
     await stream.write_readings([*poll, reading("level", 3, time=101.0)])
     first, second = (json.loads(data) for _, _, data in engine.stream)
     assert first["device"] == "kälte"
-    assert {name: each["value"] for name, each in first["values"].items()} == {
+    assert {name: row["value"] for name, row in first["values"].items()} == {
         "level": 1.5,
         "höhe": 2,
     }
-    assert {name: each["value"] for name, each in second["values"].items()} == {"level": 3}
+    assert {name: row["value"] for name, row in second["values"].items()} == {"level": 3}
     assert "kälte".encode() in engine.stream[0][2]

@@ -38,11 +38,11 @@ def member(id: str, *, beat: int = 1, state: Any = "here", report: Any = REPORT)
 def plant() -> tuple[Network, Engine]:
     """Three workers, of whom one is silent and one has ended; connections in three zones."""
     network, engine = empty()
-    for each in (
+    for request in (
         *(connection("", 1), connection("north", 2), connection("south", 3)),
         *(member("alive.1"), member("silent.2"), member("ended.3", state="ended")),
     ):
-        engine.write(each.bucket_key, each.encode())
+        engine.write(request.bucket_key, request.encode())
     for zone, host, worker in (("", 1, "alive.1"), ("north", 2, "silent.2")):
         slot = connection(zone, host).slot
         engine.write(slot.key, encode_holder(worker, worker))
@@ -81,7 +81,7 @@ def status_of(network: Network, engine: Engine, report: Any = REPORT) -> dict[st
 
 def test_a_status_has_workers_zones_and_sums() -> None:
     status = status_of(*plant())
-    assert [(each["id"], each["state"], each["slots"]) for each in status["workers"]] == [
+    assert [(worker["id"], worker["state"], worker["slots"]) for worker in status["workers"]] == [
         ("alive.1", "here", 1),
         ("ended.3", "ended", 0),
         ("silent.2", "silent", 1),
@@ -123,7 +123,7 @@ def test_an_unreadable_record_is_shown_as_not_polled(zone: str, value: object, w
         assert "  1 unreadable\n" in tables(status)
 
 
-def test_tables_say_the_same_to_be_read() -> None:
+def test_tables_of_the_status_for_people() -> None:
     status = status_of(*plant())
     status["workers"][0]["zones"] = ["east", "north"]
     status["workers"][1]["id"] = "e" * 30
@@ -144,7 +144,7 @@ unreadable: worker.odd.4: zones is missing"""
     )
 
 
-def test_numbers_of_a_report_that_are_none_count_as_nothing() -> None:
+def test_invalid_numbers_of_a_report_count_as_zero() -> None:
     status = status_of(*plant(), report={"polls": "many", "up": "NaN", "down": 2})
     numbers = {"connections": 0, "devices": 0, "up": 0, "down": 2, "polls": 0}
     assert status["workers"][0].items() >= numbers.items()

@@ -87,7 +87,7 @@ async def test_a_worker_without_the_engine_polls_no_longer_than_its_lease(trial:
 
 @pytest.mark.parametrize("seconds", [0.3, 5 * LEASE])
 @on_trial(6, "a", "b", "c")
-async def test_without_the_engine_nobody_asks_beyond_the_lease(trial: Trial, seconds) -> None:
+async def test_without_the_engine_no_worker_polls_beyond_its_lease(trial: Trial, seconds) -> None:
     trial.engine.stop()
     since = trial.now
     await asyncio.sleep(seconds)
@@ -133,7 +133,7 @@ async def test_a_slow_engine_loses_leases_and_no_device(trial: Trial) -> None:
 
 @pytest.mark.parametrize("seconds", [0.5, LEASE, 3 * LEASE])
 @on_trial(6, "a", "b", "c")
-async def test_an_engine_that_goes_back_has_none_asked_by_two(trial: Trial, seconds: float) -> None:
+async def test_one_worker_polls_after_a_restored_engine(trial: Trial, seconds: float) -> None:
     await trial.start("d")
     await asyncio.sleep(seconds / 2)
     trial.engine.forget(seconds)
@@ -205,7 +205,7 @@ async def test_the_last_worker_that_leaves_takes_all_back(trial: Trial) -> None:
 
 
 @on_trial(2)
-async def test_devices_of_a_dead_worker_whose_zone_nobody_has_are_offline(trial: Trial) -> None:
+async def test_devices_of_a_dead_worker_in_a_zone_without_workers_are_offline(trial: Trial) -> None:
     await push_fleet(trial.engine, trial.devices(zone="north"), trial.settings)
     await trial.start("north", zones=["north"])
     await trial.start("a", "b")

@@ -24,7 +24,7 @@ DEVICES = CONNECTIONS * UNITS
 
 
 @pytest.mark.timeout(300)
-def test_none_is_asked_by_two_whoever_dies_stops_or_leaves(tmp_path, capsys):
+def test_no_device_is_polled_by_two_workers_when_workers_die_stop_or_leave(tmp_path, capsys):
     with NatsServers() as server, asked_devices(CONNECTIONS) as (urls, devices):
         file = fleet_file(tmp_path, urls, interval=INTERVAL, engine=f"lease = {LEASE}")
 

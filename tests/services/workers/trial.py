@@ -90,7 +90,7 @@ class _Told(Output):
         self._worker = worker
 
     async def write_readings(self, readings: Sequence[Reading]) -> None:
-        self._trial.told += [(self._trial.now, self._worker, each) for each in readings]
+        self._trial.told += [(self._trial.now, self._worker, reading) for reading in readings]
 
 
 class Trial:
@@ -165,7 +165,7 @@ class Trial:
             finally:
                 for name in list(self.workers):
                     self.kill(name)
-                await asyncio.gather(*(each.ended() for each in self._killed))
+                await asyncio.gather(*(entry.ended() for entry in self._killed))
 
     def kill(self, name: str) -> None:
         """Kill a worker, as SIGKILL does."""
@@ -203,13 +203,13 @@ class Trial:
 
     def qualities(self) -> list[str]:
         """Return the qualities that the points of all devices were reported to have last."""
-        last = {(each.device, each.name): each.quality for _, _, each in self.told}
+        last = {(reading.device, reading.name): reading.quality for _, _, reading in self.told}
         assert len(last) == 2 * self.count
         return sorted(set(last.values()))
 
     def offline(self) -> list[tuple[float, str, str]]:
         """Return when which worker reported which device as offline, a row for each point."""
-        return [(at, by, each.device) for at, by, each in self.told if each.quality == "offline"]
+        return [(at, by, item.device) for at, by, item in self.told if item.quality == "offline"]
 
 
 def on_trial(connections: int, *workers: str, **options: Any) -> Callable[[Any], Any]:

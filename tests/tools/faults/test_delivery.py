@@ -52,7 +52,7 @@ BYTES: list[tuple[Fault, Framer, list[tuple[float, str]]]] = [
 
 @pytest.mark.parametrize(("fault", "framer", "fragments"), BYTES)
 def test_each_fault_sends_its_bytes_at_its_times(fault, framer, fragments) -> None:
-    writes = [(each.wait, each.data.hex()) for each in fault.fragments(ANSWER, framer)]
+    writes = [(fragment.wait, fragment.data.hex()) for fragment in fault.fragments(ANSWER, framer)]
     assert writes == fragments
 
 
@@ -60,7 +60,7 @@ def test_random_bytes_are_the_same_with_a_seed() -> None:
     def made(seed: int | None) -> list[bytes | None]:
         faults = Faults({1: [Fault("garbage", length=6, seed=seed)]})
         due = [faults.due(REQUEST, has_transaction=True) for _ in range(3)]
-        return [each.data if each else None for each in due]
+        return [message.data if message else None for message in due]
 
     first = made(7)
     assert all(data is not None and len(data) == 6 for data in first)

@@ -82,7 +82,7 @@ def test_only_requests_that_touch_the_range_are_hit_and_counted(where, request_,
     assert hits(faults, 4, request) == ([2, 4] if is_hit else [])
 
 
-def test_a_fault_that_cannot_be_is_refused(refused: Refused) -> None:
+def test_an_invalid_fault_is_refused(refused: Refused) -> None:
     refused("refused.txt", lambda settings: Fault(**settings))
     with pytest.raises(ValueError, match=r"probability must be in 0..1"):
         Fault("no_answer", probability=float("nan"))
@@ -96,6 +96,6 @@ def test_a_fault_that_cannot_be_is_refused(refused: Refused) -> None:
         ({1: ["no_answer"]}, "faults must be .*, not 'no_answer'"),
     ],
 )
-def test_faults_that_are_none_are_refused(faults: Any, message: str) -> None:
+def test_invalid_faults_are_refused(faults: Any, message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         Server(make_device(), faults=faults)

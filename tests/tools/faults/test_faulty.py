@@ -53,7 +53,7 @@ def test_an_answer_in_c_waits_behind_one_that_a_fault_delays(lan: Lan) -> None:
         for requests in (adu(coil, 1, 1), adu(coil, 2, 2) + adu(coil, 3, 1) + adu(coil, 4, 2)):
             connection.sendall(requests)
         answers = [(1, 1), (2, 2), (3, 1), (4, 2)]
-        answer = b"".join(adu(b"\x01\x01\0", *each) for each in answers)
+        answer = b"".join(adu(b"\x01\x01\0", *answer) for answer in answers)
         assert connection.receive(len(answer)) == answer
 
 
@@ -77,7 +77,7 @@ def test_faults_of_all_units_also_hit_units_that_do_not_exist(lan: Lan) -> None:
             client.read_coils(0, 1)
 
 
-def test_on_serial_lines_what_nobody_answers_is_not_counted(lan: Lan) -> None:
+def test_on_serial_lines_unanswered_requests_are_not_counted(lan: Lan) -> None:
     fault = Fault("exception", code=6, every=2)
     with serving(lan, "rtu", fault, of=None) as url, client_of(url, timeout=2) as client:
         client.for_unit(0).write_register(0, 7)

@@ -19,7 +19,7 @@ def make_server(*faults: Fault) -> Server:
 
 def happening(server: Server) -> list[tuple[int | None, int | None]]:
     """The unit and exception code of each fault that is on."""
-    return [(each.unit, each.fault.code) for each in server.fault_switch.states() if each.is_on]
+    return [(state.unit, state.fault.code) for state in server.fault_switch.states() if state.is_on]
 
 
 def code_of(client: Client) -> int | None:
@@ -53,7 +53,7 @@ def test_one_fault_is_turned_off_and_on_in_its_place() -> None:
             server.fault_switch.turn(first, is_on=False)
             server.fault_switch.turn(state, is_on=True)
             assert code_of(client) == 4
-    assert [each.fault for each in server.fault_switch.states()] == [YOURS, GIVEN, MINE]
+    assert [state.fault for state in server.fault_switch.states()] == [YOURS, GIVEN, MINE]
     yours.switch_off()
     with pytest.raises(ValueError, match="the server does not have the fault Fault"):
         server.fault_switch.turn(first, is_on=True)
@@ -119,5 +119,5 @@ def test_many_threads_leave_what_was_given() -> None:
 
     with ThreadPoolExecutor(4) as pool:
         switchings = [pool.submit(switching) for _ in range(4)]
-    assert not any(each.exception() for each in switchings)
+    assert not any(switching.exception() for switching in switchings)
     assert happening(server) == [(1, 4)]

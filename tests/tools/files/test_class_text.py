@@ -151,7 +151,7 @@ def test_any_text_stays_a_text(name: str, description: str) -> None:
 @example('x"""\nimport os #')
 @example("a\\")
 def test_any_name_of_a_file_gives_a_class(stem: str) -> None:
-    if any(0xD800 <= ord(each) <= 0xDFFF for each in stem):
+    if any(0xD800 <= ord(entry) <= 0xDFFF for entry in stem):
         return  # no file has such a name
     text = class_text(RegisterMap([Point("a", "coils", 0)]), stem)
     classes = [node.name for node in ast.parse(text).body if isinstance(node, ast.ClassDef)]
@@ -164,8 +164,8 @@ def check_texts(map: RegisterMap) -> None:
     text = class_text(map, "meter")
     plain = RegisterMap([Point(f"p{at}", "coils", at) for at in range(len(map))])
     statements, kinds = (
-        [type(node).__name__ for node in ast.parse(each).body]
-        for each in (text, class_text(plain, "meter"))
+        [type(node).__name__ for node in ast.parse(entry).body]
+        for entry in (text, class_text(plain, "meter"))
     )
     assert statements == kinds
     assert list(names_in(map)["MAP"].values()) == list(map.values())

@@ -76,7 +76,7 @@ HEAD = "name,table,address,type,scale,access\n"
 
 
 @pytest.mark.parametrize("kind", ["csv", "toml"])
-def test_a_wrong_file_is_told_what_is_wrong(kind: str, tmp_path: Path, refused: Refused) -> None:
+def test_errors_of_files_name_the_mistake(kind: str, tmp_path: Path, refused: Refused) -> None:
     def load_without_folder(content: str | bytes) -> None:
         try:
             loaded(tmp_path, content, f"meter.{kind}")
@@ -170,4 +170,4 @@ def test_anything_else_is_a_mistake(tmp_path: Path, content: bytes) -> None:
             loaded(tmp_path, content, name)
         except MapError as error:
             messages.append(str(error))
-    assert all(len(each) < 1000 for each in messages)
+    assert all(len(message) < 1000 for message in messages)

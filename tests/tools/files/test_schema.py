@@ -122,7 +122,7 @@ SCALE = Point("sf", H, 100, access="read")
 
 
 def test_every_key_has_an_example() -> None:
-    assert list(EXAMPLES) == [each.name for each in fields(Point) if each.init]
+    assert list(EXAMPLES) == [field.name for field in fields(Point) if field.init]
 
 
 def points_of(key: str) -> list[Point]:
@@ -142,13 +142,13 @@ def from_csv(folder: Path, points: list[Point]) -> list[Point]:
 def from_device_file(folder: Path, points: list[Point]) -> list[Point]:
     """Return the points of a unit that are written in the device file itself."""
     text = "[[unit]]\n"
-    for each in points:  # the name of the list says the table
-        point = toml_text([each]).replace(f'table = "{each.table}"\n', "")
-        text += point.replace("[[point]]", f"[[unit.{each.table}]]")
+    for entry in points:  # the name of the list says the table
+        point = toml_text([entry]).replace(f'table = "{entry.table}"\n', "")
+        text += point.replace("[[point]]", f"[[unit.{entry.table}]]")
     (folder / "device.toml").write_text(text)
     device = load_device(folder / "device.toml").devices
     assert not isinstance(device, dict)
-    return [device.points[each.name] for each in points]
+    return [device.points[point.name] for point in points]
 
 
 def from_fleet_file(folder: Path, points: list[Point]) -> list[Point]:
@@ -186,5 +186,5 @@ FORMATS: dict[str, Callable[[Path, list[Point]], list[Point]]] = {
 def test_a_format_has_the_key(tmp_path_factory, form, key) -> None:
     points = points_of(key)
     if form == "device file":  # where it is called `value`
-        points = [replace(each, initial=None) for each in points]
+        points = [replace(point, initial=None) for point in points]
     assert FORMATS[form](tmp_path_factory.mktemp("file"), points) == points

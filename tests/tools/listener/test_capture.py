@@ -71,18 +71,18 @@ class TestWriter:
 class TestReader:
     def test_a_capture_has_the_blocks_of_pcapng(self, tmp_path: Path) -> None:
         result = read(write(tmp_path / "x.pcapng"))
-        good = [each for each in result if each.kind in ("answered", "exception")]
+        good = [entry for entry in result if entry.kind in ("answered", "exception")]
         assert len(good) == len(exchanges())
-        bad = [each for each in result if each not in good]
-        assert [each.error and each.error.received for each in bad] == DAMAGED
-        for each in good:
-            assert each.duration == pytest.approx(0.004, abs=1e-5)
+        bad = [entry for entry in result if entry not in good]
+        assert [entry.error and entry.error.received for entry in bad] == DAMAGED
+        for entry in good:
+            assert entry.duration == pytest.approx(0.004, abs=1e-5)
 
-    def test_connections_are_told_apart(self, tmp_path: Path) -> None:
+    def test_connections_are_distinguished(self, tmp_path: Path) -> None:
         alone = read(write(tmp_path / "1.pcapng"))
         three = read(write(tmp_path / "3.pcapng", 1, 2, 300))
         assert len(three) == 3 * len(alone)
-        assert {each.kind for each in three} == {each.kind for each in alone}
+        assert {entry.kind for entry in three} == {entry.kind for entry in alone}
 
     def test_a_capture_saved_again_by_wireshark_is_read(self, tmp_path: Path) -> None:
         """With nanoseconds, blocks of its own, and another capture behind it."""
@@ -131,8 +131,8 @@ class TestReader:
                 )
             file.write_bytes(data)
             try:
-                for each in read(file):
-                    str(each)
+                for packet in read(file):
+                    str(packet)
             except CaptureError as error:
                 assert "\n" not in str(error)  # noqa: PT017  # either is right
 
@@ -200,7 +200,7 @@ class TestReader:
         copy = tmp_path / "copy.pcapng"
         with listen(str(DECODED), capture=copy) as line:
             first = list(line)
-        assert [str(each) for each in read(copy)] == [str(each) for each in first]
+        assert [str(packet) for packet in read(copy)] == [str(entry) for entry in first]
 
     def test_a_file_that_is_not_there(self) -> None:
         with pytest.raises(FileNotFoundError):
@@ -223,5 +223,5 @@ def test_a_tap_outlives_its_capture(tmp_path: Path, caplog: pytest.LogCaptureFix
             assert next(line).response == [7]
         assert line.capture_error is not None
         assert line.capture_error.filename == str(path)
-    messages = [each.getMessage() for each in caplog.records if "ends here" in each.message]
+    messages = [record.getMessage() for record in caplog.records if "ends here" in record.message]
     assert messages == [f"{path}: No space left on device; the capture ends here"]

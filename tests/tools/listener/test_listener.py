@@ -77,8 +77,8 @@ class Gathering:
         self._thread.start()
 
     def _gather(self) -> None:
-        for each in self.line:
-            self.done.append(each)
+        for entry in self.line:
+            self.done.append(entry)
 
     def wait_for(self, count: int) -> list[Transaction]:
         until(lambda: len(self.done) >= count)
@@ -123,10 +123,10 @@ def test_a_client_and_a_server_on_a_line(port: Line, framing: str, device: Devic
             client.read_coils(0, 1)
         client.for_unit(0).write_register(101, 6)
         transactions = hearing.wait_for(6)
-    assert [each.kind for each in transactions] == [*(["answered"] * 4), "exception", "broadcast"]
+    assert [item.kind for item in transactions] == [*(["answered"] * 4), "exception", "broadcast"]
     assert transactions[0].request == pdu.ReadHoldingRegisters(100, 3)
     assert transactions[0].response == [1000, 1001, 1002]
-    assert all((each.duration or 0) >= 0 for each in transactions)
+    assert all((transaction.duration or 0) >= 0 for transaction in transactions)
     assert abs(transactions[0].time - time.time()) < 60
     assert hearing.line.summary.units[UNIT].functions[6] == 2
     assert hearing.line.summary.units[UNIT].errors == {"exception 2": 1}
@@ -142,8 +142,8 @@ class TestPort:
             ]
             modes = {
                 int(line.split()[1], 8) & os.O_ACCMODE
-                for each in descriptors
-                for line in Path(f"/proc/self/fdinfo/{each}").read_text().splitlines()
+                for descriptor in descriptors
+                for line in Path(f"/proc/self/fdinfo/{descriptor}").read_text().splitlines()
                 if line.startswith("flags:")
             }
             assert os.O_RDONLY in modes
@@ -217,7 +217,7 @@ class TestEnding:
 
         line = listen(f"rtu://{port.path}")
         asyncio.get_running_loop().call_later(0.1, line.close)
-        assert [each async for each in line] == []
+        assert [entry async for entry in line] == []
 
     def test_cancelling_loses_nothing(self, port: Line) -> None:
         async def heard() -> Transaction:
@@ -235,7 +235,7 @@ class TestEnding:
 
         assert asyncio.run(heard()).response == [7]
 
-    def test_nothing_is_left_also_if_nobody_closes(self, port: Line, tmp_path: Path) -> None:
+    def test_nothing_is_left_without_a_call_of_close(self, port: Line, tmp_path: Path) -> None:
         capture = tmp_path / "x.pcapng"
         with listen(f"rtu://{port.path}", capture=capture):
             pass
@@ -259,7 +259,7 @@ class TestEnding:
         with listen(f"rtu://{port.path}") as line:
             port.say(ASK + ANSWER + ASK)
             assert next(line).kind == "answered"
-            assert [each.kind for each in line.rest()] == ["unanswered"]
+            assert [entry.kind for entry in line.rest()] == ["unanswered"]
 
 
 @pytest.fixture(params=["rtu+tcp", "ascii+tcp"])
@@ -280,10 +280,10 @@ class TestBetween:
         with ThreadPoolExecutor(8) as pool:
             list(pool.map(ask, range(100, 108)))
         transactions = tapped.wait_for(160)
-        assert {each.kind for each in transactions} == {"answered"}
+        assert {transaction.kind for transaction in transactions} == {"answered"}
         assert len(transactions) == 160
 
-    def test_bytes_pass_unchanged_though_nobody_looks(self) -> None:
+    def test_bytes_pass_unchanged_without_a_listener(self) -> None:
         """More than is kept to be shown."""
         device = socket.create_server(("127.0.0.1", 0))
         data = os.urandom(3_000_000)

@@ -67,11 +67,11 @@ WRITTEN = ("valve", "secret")
 )
 def test_values_of_a_map_in_transactions(pairs, values) -> None:
     decoder = MapDecoder(POINTS)
-    decodings = [each for transaction in pairs_of(*pairs) for each in decoder.decode(transaction)]
-    assert [(each.name, each.value) for each in decodings] == values
-    assert {each.unit for each in decodings} <= {17}
-    assert all(each.reason == "" for each in decodings if each.value is not None)
-    assert [each.is_written for each in decodings] == [each.name in WRITTEN for each in decodings]
+    decodings = [entry for transaction in pairs_of(*pairs) for entry in decoder.decode(transaction)]
+    assert [(decoding.name, decoding.value) for decoding in decodings] == values
+    assert {decoding.unit for decoding in decodings} <= {17}
+    assert all(decoding.reason == "" for decoding in decodings if decoding.value is not None)
+    assert [item.is_written for item in decodings] == [item.name in WRITTEN for item in decodings]
 
 
 def test_units_keep_their_own_cells() -> None:
@@ -80,18 +80,18 @@ def test_units_keep_their_own_cells() -> None:
     for at, text in enumerate(
         ("11 03 006C 0001", "11 03 02 0001", "12 03 006D 0001", "12 03020002")
     ):
-        for each in separator.feed(rtu(text), at * 0.1):
-            values += decoder.decode(each)
+        for frame in separator.feed(rtu(text), at * 0.1):
+            values += decoder.decode(frame)
     assert values == []
 
 
 def test_a_map_is_learned_of_what_was_asked() -> None:
     learned = LearnedMap()
     again = ("03 006B 0003", "03 06 08FE 0001 0002")
-    for each in pairs_of(READ_3, again, REFUSED, COIL, MASK, ("04 0010 0001", "84 02")):
-        learned.add_transaction(each)
-    points = {each.name: each for each in learned.points()}
-    assert {name: (each.access, each.description) for name, each in points.items()} == {
+    for entry in pairs_of(READ_3, again, REFUSED, COIL, MASK, ("04 0010 0001", "84 02")):
+        learned.add_transaction(entry)
+    points = {point.name: point for point in learned.points()}
+    assert {name: (point.access, point.description) for name, point in points.items()} == {
         "unit_17_coils_172": ("write", "1"),
         "unit_17_holding_registers_4": ("write", "no value heard"),
         "unit_17_holding_registers_107": ("read_write", "2301..2302"),
@@ -99,7 +99,7 @@ def test_a_map_is_learned_of_what_was_asked() -> None:
         "unit_17_holding_registers_109": ("read", "2"),
         "unit_17_input_registers_16": ("read", "no value heard"),
     }
-    assert {each.group for each in points.values()} == {"unit 17"}
+    assert {point.group for point in points.values()} == {"unit 17"}
 
 
 def test_a_broadcast_has_the_values_that_it_writes_and_no_others() -> None:
@@ -107,10 +107,10 @@ def test_a_broadcast_has_the_values_that_it_writes_and_no_others() -> None:
     values = []
     transactions = separator.feed(rtu("00 03 006B 0003"), 0.0)  # a mistake of the master
     transactions += separator.feed(rtu("00 06 006B 0001"), 5.0)
-    for each in transactions + separator.end():
-        values += decoder.decode(each)
-        learned.add_transaction(each)
-    assert [(each.unit, each.name, each.value, each.is_written) for each in values] == [
+    for entry in transactions + separator.end():
+        values += decoder.decode(entry)
+        learned.add_transaction(entry)
+    assert [(value.unit, value.name, value.value, value.is_written) for value in values] == [
         (0, "voltage", 0.1, True)
     ]
-    assert [each.description for each in learned.points()] == ["1", *["no value heard"] * 2]
+    assert [point.description for point in learned.points()] == ["1", *["no value heard"] * 2]

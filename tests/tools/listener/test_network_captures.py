@@ -76,9 +76,9 @@ def pcap(
     """A file with a packet each millisecond from 1 700 000 000 on."""
     magic, unit = (0xA1B23C4D, 1_000_000) if nanos else (0xA1B2C3D4, 1000)
     data = struct.pack(order + "IHHiIII", magic, 2, 4, 0, 0, 65535, link)
-    for at, each in enumerate(packets):
-        head = (1_700_000_000, at * unit, len(each), len(each))
-        data += struct.pack(order + "IIII", *head) + each
+    for at, packet in enumerate(packets):
+        head = (1_700_000_000, at * unit, len(packet), len(packet))
+        data += struct.pack(order + "IIII", *head) + packet
     return data
 
 
@@ -92,10 +92,10 @@ def pcapng(packets: Sequence[bytes], link: int, order: str, resolution: int) -> 
     options = struct.pack(order + "HHB3xHH", 9, 1, resolution, 0, 0)
     data = block(0x0A0D0D0A, struct.pack(order + "IHHq", 0x1A2B3C4D, 1, 0, -1))
     data += block(1, struct.pack(order + "HHI", link, 0, 0) + options)
-    for at, each in enumerate(packets):
+    for at, packet in enumerate(packets):
         time = 1_700_000_000 * ticks + at * ticks // 1000
-        head = (0, time >> 32, time & 0xFFFFFFFF, len(each), len(each))
-        data += block(6, struct.pack(order + "IIIII", *head) + each)
+        head = (0, time >> 32, time & 0xFFFFFFFF, len(packet), len(packet))
+        data += block(6, struct.pack(order + "IIIII", *head) + packet)
     return data
 
 
@@ -107,7 +107,7 @@ def read(path: Path) -> list[Transaction]:
 def read_of(tmp_path: Path, packets: Sequence[bytes]) -> list[str]:
     path = tmp_path / "x.pcap"
     path.write_bytes(pcap(packets))
-    return [str(each) for each in read(path)]
+    return [str(packet) for packet in read(path)]
 
 
 TWO = [
@@ -136,8 +136,8 @@ ETHERNET = bytes(12)
 def test_captures_of_each_link_type_are_read(link: int, head: bytes, tmp_path: Path) -> None:
     path = tmp_path / "x.pcap"
     other = ETHERNET + b"\x08\x06" + bytes(28) if link == 1 else b""  # ARP, or nothing
-    path.write_bytes(pcap([head + each for each in TWO] + [other], link))
-    assert [str(each) for each in read(path)] == LINES
+    path.write_bytes(pcap([head + entry for entry in TWO] + [other], link))
+    assert [str(packet) for packet in read(path)] == LINES
 
 
 @each_case("order", ["<", ">"])
@@ -270,8 +270,8 @@ def test_damaged_files_are_read_or_refused(seed: int, tmp_path: Path) -> None:
                 data[choose.randrange(len(data))] = choose.choice([0, 255, choose.randrange(256)])
             path.write_bytes(data[: choose.choice([None, choose.randrange(len(data))])])
             try:
-                for each in read(path):
-                    str(each)
+                for packet in read(path):
+                    str(packet)
             except CaptureError as error:
                 assert str(error).startswith(str(path))  # noqa: PT017  # either is right
 

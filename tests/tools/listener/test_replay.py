@@ -93,8 +93,8 @@ def test_differences_are_named_and_nothing_is_written_unless_wanted(capture: Pat
         Client(running.urls[0], timeout=5) as client,
     ):
         rows = list(differences(client, capture, units=None, writes=False))
-        assert [each and each.answer for each in rows[:4:2]] == [[555, 0, 101], None]
-        assert [each is None for each in rows] == [False, False, True, True, False]
+        assert [row and row.answer for row in rows[:4:2]] == [[555, 0, 101], None]
+        assert [row is None for row in rows] == [False, False, True, True, False]
         assert rows[4] is not None
         assert (rows[4].transaction.request, rows[4].answer) == (
             *(pdu.ReadHoldingRegisters(4096, 1), [0]),

@@ -35,12 +35,12 @@ Piece = tuple[float, bytes]
 
 def listen(pieces: Iterable[Piece], framing: str = "rtu") -> list[Transaction]:
     separator = Separator(framing)  # type: ignore[arg-type]
-    transactions = [each for at, data in pieces for each in separator.feed(data, at)]
+    transactions = [frame for at, data in pieces for frame in separator.feed(data, at)]
     return transactions + separator.end()
 
 
 def kinds(pieces: Iterable[Piece], framing: str = "rtu") -> list[str]:
-    return [each.kind for each in listen(pieces, framing)]
+    return [entry.kind for entry in listen(pieces, framing)]
 
 
 def parts_of(pieces: Iterable[Piece], framing: str = "rtu") -> list[tuple[str, bytes]]:
@@ -49,13 +49,13 @@ def parts_of(pieces: Iterable[Piece], framing: str = "rtu") -> list[tuple[str, b
     for at, data in pieces:
         separator.feed(data, at)
     separator.end()
-    return [(each.part, each.frame.pdu if each.frame else each.data) for each in frames]
+    return [(frame.part, frame.frame.pdu if frame.frame else frame.data) for frame in frames]
 
 
 @each_case("framing", ["rtu", "ascii"])
 @each_case("step", [0, 1, 7, -1], ids=["whole", "bytes", "sevens", "all in one piece"])
 def test_every_example_of_the_specification_finds_its_answer(framing: str, step: int) -> None:
-    pairs = [each for each in exchanges() if each[0].unit != 0]
+    pairs = [exchange for exchange in exchanges() if exchange[0].unit != 0]
     pieces: list[Piece] = []
     at = 0.0
     for vectors in pairs:
@@ -67,7 +67,7 @@ def test_every_example_of_the_specification_finds_its_answer(framing: str, step:
     if step < 0:
         pieces = [(0.0, b"".join(data for _, data in pieces))]
     transactions = listen(pieces, framing)
-    assert {each.kind for each in transactions} == {"answered", "exception"}
+    assert {transaction.kind for transaction in transactions} == {"answered", "exception"}
     assert len(transactions) == len(pairs) > 15
 
 
@@ -112,12 +112,12 @@ def test_a_frame_without_a_function_is_invalid(code, direction, framing) -> None
     frame = MAKE[framing](f"01 {code} 01")
     transactions = separator.feed(frame, 0.0, direction)  # type: ignore[arg-type]
     transactions += separator.end()
-    assert [(each.kind, each.unit) for each in transactions] == [("invalid", 1)]
+    assert [(item.kind, item.unit) for item in transactions] == [("invalid", 1)]
     assert f"{code}h" in str(transactions[0])
 
 
 @pytest.mark.parametrize("framing", ["rtu", "ascii"])
-def test_a_good_frame_that_nobody_sends_is_no_damage(framing: str) -> None:
+def test_a_valid_frame_without_a_request_is_no_damage(framing: str) -> None:
     """It is an exception to something that was not asked, or invalid, whatever ends it."""
     make = MAKE[framing]
     ask, answer = make("02 03 0000 0001"), make("02 03 02 0001")
@@ -205,7 +205,7 @@ def test_the_limit_is_learnt(answers, timeout, last, text) -> None:
 
 def test_repeats_are_counted_and_late_answers_named() -> None:
     transactions = listen([(0.0, ASK), (1.0, ASK), (2.0, ASK), (2.1, ANSWER)])
-    assert [(each.kind, each.repeats) for each in transactions] == [
+    assert [(transaction.kind, transaction.repeats) for transaction in transactions] == [
         *(("unanswered", 0), ("unanswered", 1), ("answered", 2))
     ]
     _, late, _ = listen([(0.0, ASK), (1.0, OTHER), (1.1, ANSWER)])
@@ -228,7 +228,7 @@ def test_damage_in_place_of_a_response_and_beside_it() -> None:
     assert transaction.error.received == bad
     pieces = [(0.0, b"\xff" + ASK), (0.01, b"\x00\xfe" + ANSWER + b"\xfd\xfc"), (1.0, ASK)]
     outcome = kinds([*pieces, (1.01, ANSWER)])
-    assert [each for each in outcome if each != "damaged"] == ["answered", "answered"]
+    assert [entry for entry in outcome if entry != "damaged"] == ["answered", "answered"]
     ask, answer = ascii_frame("01 03 00 00 00 02"), ascii_frame("01 03 04 00 07 00 09")
     outcome = kinds([(0.0, b"noise"), (1.0, ask), (1.1, answer)], "ascii")
     assert outcome == ["damaged", "answered"]
@@ -244,7 +244,7 @@ def test_pauses_inside_a_frame_do_not_end_it() -> None:
 
 
 @pytest.mark.parametrize("framing", ["rtu", "ascii"])
-def test_noise_is_told_before_it_ends_and_takes_a_bounded_memory(framing: str) -> None:
+def test_noise_is_reported_before_it_ends_with_bounded_memory(framing: str) -> None:
     noise = random.Random(3)
     separator = Separator(framing)  # type: ignore[arg-type]
     counts = []
@@ -254,7 +254,7 @@ def test_noise_is_told_before_it_ends_and_takes_a_bounded_memory(framing: str) -
         counts.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
     assert counts[-1] < counts[20] + 100_000
-    assert any(each.kind == "damaged" for each in transactions)
+    assert any(transaction.kind == "damaged" for transaction in transactions)
 
 
 @each_case("framing", ["rtu", "ascii"])
@@ -274,7 +274,7 @@ def test_a_line_that_is_in_order_again_is_understood(framing: str, seed: int) ->
     separator.tick(at)
     separator.feed(ask, at)
     transactions = separator.feed(answer, at + 0.01)
-    assert [each.kind for each in transactions][-1] == "answered"
+    assert [transaction.kind for transaction in transactions][-1] == "answered"
 
 
 FRONT = bytes([1, 3, 0xFA, 0, 0])
@@ -296,7 +296,7 @@ def test_a_transaction_that_is_over_is_returned_without_another_byte(pieces, res
         assert separator.feed(data, 0.0, direction) == []
     for at, outcomes in results.items():
         transactions = separator.tick(at)
-        outcome = [(each.kind, each.error.received if each.error else b"") for each in transactions]
+        outcome = [(item.kind, item.error.received if item.error else b"") for item in transactions]
         assert outcome == outcomes, at
     is_known = pieces[0][1] is not None
     assert separator.feed(ASK, 30.0, "client" if is_known else None) == []

@@ -128,16 +128,16 @@ def traced(event: Event, endpoint: str) -> TracedFrame:
 
 def texts(transactions: list[Transaction]) -> str:
     transactions = sorted(transactions, key=lambda each: each.time)
-    where = ["" if each.unit is None else f"{each.unit}:{each.function} " for each in transactions]
-    return ", ".join(f"{place}{each.kind}" for place, each in zip(where, transactions, strict=True))
+    where = ["" if item.unit is None else f"{item.unit}:{item.function} " for item in transactions]
+    return ", ".join(f"{place}{item.kind}" for place, item in zip(where, transactions, strict=True))
 
 
 def paired(events: list[Event], endpoint: str) -> str:
     pairing = TracePairing()
-    for each in events:
-        pairing.take(traced(each, endpoint))
+    for event in events:
+        pairing.take(traced(event, endpoint))
     pairing.end()
-    return texts([each.transaction for each in pairing.done])
+    return texts([exchange.transaction for exchange in pairing.done])
 
 
 @each_case(("events", "kinds"), ON_TCP)
@@ -151,7 +151,7 @@ def test_a_trace_on_a_line_becomes_transactions(events: list[Event], kinds: str)
 
 
 @each_case(("events", "kinds"), ON_LINES)
-def test_a_listener_between_both_says_the_same(events: list[Event], kinds: str) -> None:
+def test_a_listener_between_both_reports_the_same(events: list[Event], kinds: str) -> None:
     separator, transactions = Separator("rtu"), []
     for at, direction, adu, _, _ in events:
         transactions += separator.feed(adu, at, "client" if direction == "received" else "server")
@@ -165,7 +165,7 @@ def test_a_response_that_comes_too_late_is_late() -> None:
     assert pairing.done == []
     pairing.tick(TIMEOUT + 1)
     pairing.take(traced(answer(TIMEOUT + 2, VALUES), TCP))
-    assert [each.transaction.kind for each in pairing.done] == ["unanswered", "late"]
+    assert [exchange.transaction.kind for exchange in pairing.done] == ["unanswered", "late"]
     assert pairing.done[1].transaction.duration == TIMEOUT + 2
 
 
@@ -175,8 +175,8 @@ def test_the_oldest_of_many_requests_and_connections_is_given_up() -> None:
         requests.take(traced(ask(number, tcp(READ_PDU, number)), TCP))
     for number in range(MOST_CONNECTIONS + 1):
         connections.take(traced(ask(number, READ, f"peer {number}"), TCP))
-    assert [each.transaction.time for each in requests.done] == [0]
-    assert [each.peer for each in connections.done] == ["peer 0"]
+    assert [request.transaction.time for request in requests.done] == [0]
+    assert [exchange.peer for exchange in connections.done] == ["peer 0"]
 
 
 def test_connections_are_forgotten() -> None:

@@ -72,8 +72,8 @@ def person_at(url: str = "about:blank", width: int = 1200, height: int = 800) ->
         tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder,
         _chromedriver(folder) as chromedriver,
     ):
-        for each in (*OPTIONS, f"--user-data-dir={folder}/profile"):
-            options.add_argument(each)
+        for entry in (*OPTIONS, f"--user-data-dir={folder}/profile"):
+            options.add_argument(entry)
         connection = ChromeRemoteConnection(chromedriver, ignore_proxy=True)
         driver = webdriver.Remote(connection, options=options)
         try:
@@ -199,7 +199,7 @@ class Person:
         from selenium.common.exceptions import StaleElementReferenceException
 
         def found() -> list[Any]:
-            return [each for each in self.all(selector) if text in each.text]
+            return [entry for entry in self.all(selector) if text in entry.text]
 
         def is_done() -> bool:
             try:

@@ -75,7 +75,7 @@ class Plant:
         self.values.describe(ShownPoint(*names, "V", every) for names in points)
 
     def status(self) -> tuple[str, bool]:
-        down = sum(each.is_down for each in self.meters.values())
+        down = sum(meter.is_down for meter in self.meters.values())
         return f"{down} of {len(self.meters)} devices down", down > 0
 
     def figures(self) -> dict[str, float]:

@@ -58,12 +58,12 @@ def cell(**changes: Any) -> dict[str, Any]:
     return {**place, "type": "uint16", "order": "ABCD", **changes}
 
 
-def test_a_change_that_cannot_be_is_told(refused: Refused) -> None:
+def test_an_invalid_change_is_reported(refused: Refused) -> None:
     with page_of() as (_, _, visitor):
         refused("refused.txt", visitor.refused)
 
 
-def test_a_value_that_the_device_computes_is_told() -> None:
+def test_a_value_that_the_device_computes_is_reported() -> None:
     mapping = Mapping(input_registers=4)
 
     def compute(access: Access) -> None:
@@ -104,7 +104,7 @@ def visitor(tmp_path: Path) -> Iterator[Visitor]:
         yield visitor
 
 
-def test_a_held_value_stays_can_be_set_and_goes_on(visitor: Visitor) -> None:
+def test_a_held_value_can_be_set_and_moves_again_afterwards(visitor: Visitor) -> None:
     level = {"unit": 1, "point": 0, "name": "level"}
 
     def row() -> tuple[str, bool | None, list[int]]:
@@ -198,7 +198,7 @@ def test_others_may_change_devices_and_faults() -> None:
         visitor.receive(
             lambda: visitor.cells("1/holding_registers")[0] == 77 and visitor.seen["faults"]
         )
-        assert [each["number"] for each in visitor.rows("units")] == [1]
+        assert [row["number"] for row in visitor.rows("units")] == [1]
         assert visitor.rows("units")[0]["tables"] == {"holding_registers": [[0, 8]]}
         server.replace({3: Device(mapping)})
         visitor.receive(lambda: list(visitor.seen["units"]) == ["3"])
@@ -213,7 +213,7 @@ def test_the_number_of_faults_is_limited() -> None:
         assert visitor.rows("faults")[0]["settings"] == "seconds 1.5"
         number = max(map(int, visitor.seen["faults"]))  # equal ones are switched one by one
         assert visitor.post("/fault", number=number, on=False) == {}
-        assert [each.is_on for each in server.fault_switch.states()] == [True] * 198 + [False]
+        assert [state.is_on for state in server.fault_switch.states()] == [True] * 198 + [False]
         fault = {"unit": 2, "kind": "no_answer"}
         assert visitor.post("/faults", **fault) == {}
         assert "there are 200 faults already" in visitor.post("/faults", **fault)

@@ -34,8 +34,7 @@ def test_the_log_has_the_last_writer_of_each_cell() -> None:
                      order="ABCD")  # fmt: skip
         visitor.receive(lambda: len(visitor.rows("written")) == 5)
     writers = [
-        (each["unit"], each["table"], each["start"], each["stop"])
-        for each in visitor.rows("written")
+        (row["unit"], row["table"], row["start"], row["stop"]) for row in visitor.rows("written")
     ]
     assert writers == [
         (1, "holding_registers", 100, 103),
@@ -62,7 +61,7 @@ def test_the_log_is_text() -> None:
         counters = visitor.receive(
             lambda: visitor.seen["counters"]["requests"] and visitor.seen["counters"]
         )
-    texts = [(each["unit"], each["asked"], each["kind"]) for each in visitor.rows("log")]
+    texts = [(row["unit"], row["asked"], row["kind"]) for row in visitor.rows("log")]
     assert texts == [
         (1, "read holding registers 100..102", "answered"),
         (1, "write coils 3..4: 1, 0", "answered"),
@@ -131,7 +130,7 @@ def test_the_saved_log_has_the_chosen_rows() -> None:
             ("?nonsense=%00&unit=", [0, 1, 2, 3]),
         ):
             assert saved(visitor, query) == [every[0], *(every[1 + at] for at in rows)], query
-        names = [(each["named"], each["writes"]) for each in visitor.rows("log")]
+        names = [(row["named"], row["writes"]) for row in visitor.rows("log")]
         assert names[:2] == [("level 12.5 m", True), ("level 12.5 m", False)]
 
 

@@ -29,13 +29,13 @@ def test_the_first_message_has_all_tables() -> None:
         "holding_registers": [[0, 20], [100, 110]],
         "input_registers": [[0, 8]],
     }
-    assert [each["name"] for each in first["points"]] == NAMES
+    assert [point["name"] for point in first["points"]] == NAMES
     keys = ("table", "address", "type", "units")
     shown_keys = [first["points"][0][key] for key in keys]
     assert shown_keys == ["holding_registers", 0, "float32 CDAB", "°C"]
     assert second["points"] == []
     assert visitor.seen["counters"]["requests"] == 0
-    assert all(isinstance(each, int) for each in visitor.rows("counters"))
+    assert all(isinstance(row, int) for row in visitor.rows("counters"))
 
 
 def test_points_are_shown_with_their_values_and_only_what_changes_is_sent() -> None:
@@ -47,8 +47,9 @@ def test_points_are_shown_with_their_values_and_only_what_changes_is_sent() -> N
         with Client(url, unit=1) as plc:
             plc.write_registers(2, [123])
             visitor.receive(lambda: visitor.points("1/points")[1] == "12.3")
-        rows = [each["1/points"] for each in visitor.messages[before:] if "1/points" in each]
-        assert {key for each in rows for key, row in each.items() if row["text"] != "abc"} == {"1"}
+        rows = [item["1/points"] for item in visitor.messages[before:] if "1/points" in item]
+        keys = {key for entry in rows for key, row in entry.items() if row["text"] != "abc"}
+        assert keys == {"1"}
 
 
 def test_cells_are_shown_as_far_as_they_are_looked_at() -> None:
@@ -91,8 +92,8 @@ def test_two_pages_of_a_server_on_one_token_follow_it_and_end_alone() -> None:
                 view = {"unit": 1, "what": "coils", "first": 0, "stop": 1}
                 assert other.post("/view", stream=one.seen["page"]["stream"], **view) != {}
                 place = {"unit": 2, "table": "holding_registers", "address": 3, "order": "ABCD"}
-                for each in (one, other):
-                    each.look(2, "holding_registers", 0, 8)
+                for entry in (one, other):
+                    entry.look(2, "holding_registers", 0, 8)
                 assert one.post("/value", **place, type="uint16", text="1234") == {}
                 one.receive(lambda: one.cells("2/holding_registers").get(3) == 1234)
         other.receive(lambda: other.cells("2/holding_registers").get(3) == 1234)
@@ -123,13 +124,13 @@ def test_a_moving_value_is_computed_when_it_is_shown(monkeypatch: pytest.MonkeyP
             is_busy = False
             visitor.receive(lambda: visitor.cells("every/input_registers")[6] > 0)
         count = len(accesses)
-        assert {each.table for each in accesses} == {"input_registers"}
+        assert {access.table for access in accesses} == {"input_registers"}
         assert server.statistics.requests == 0
     assert len(accesses) <= count + 8  # nothing is computed when nobody looks
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError, SystemExit])
-def test_a_hook_that_fails_is_logged_once_and_the_page_goes_on(error, caplog) -> None:
+def test_a_hook_that_fails_is_logged_once_and_the_page_works(error, caplog) -> None:
     def broken(access: Access) -> None:
         raise error
 
@@ -144,6 +145,6 @@ def test_a_hook_that_fails_is_logged_once_and_the_page_goes_on(error, caplog) ->
             body = {"unit": None, "table": "coils", "address": 5, "text": "on"}
             assert visitor.post("/value", **body, type="", order="ABCD") == {}
             visitor.receive(lambda: visitor.cells("every/coils")[5] == 1)
-    assert [each.getMessage() for each in caplog.records] == [
+    assert [record.getMessage() for record in caplog.records] == [
         "coils range(0, 8): before_read failed"
     ]

@@ -58,8 +58,8 @@ STRANGERS: dict[str, dict[str, str | None]] = {
 def test_a_request_without_the_token_is_refused(stranger: str) -> None:
     with page_of() as (server, _, visitor):
         fields = {
-            name: each and each.format(port=visitor.address[1], token=visitor.token)
-            for name, each in STRANGERS[stranger].items()
+            name: entry and entry.format(port=visitor.address[1], token=visitor.token)
+            for name, entry in STRANGERS[stranger].items()
         }
         before = server.devices[1].mapping.holding_registers[2]
         for path in PATHS:
@@ -112,7 +112,7 @@ def test_the_headers_of_the_page_restrict_browsers() -> None:
             assert headers["Cache-Control"] == "no-store"
             assert "Access-Control-Allow-Origin" not in headers
             if path == "/":  # nothing within, and nothing from elsewhere
-                assert [each for each in (b"style=", b"onclick", b"://") if each in data] == []
+                assert [entry for entry in (b"style=", b"onclick", b"://") if entry in data] == []
 
 
 REQUESTS: list[tuple[str, str, Any, dict[str, str | None], int]] = [
@@ -153,7 +153,7 @@ BYTES = [
 ]
 
 
-def test_requests_that_cannot_be_and_bytes_that_are_none() -> None:
+def test_invalid_requests_and_bytes_of_no_request() -> None:
     with page_of() as (_, _, visitor):
         for method, path, body, headers, status in REQUESTS:
             assert visitor.ask(method, path, body, **headers)[0] == status, (path, body, headers)
@@ -203,7 +203,7 @@ def test_a_hundred_pages_that_go_leave_nothing() -> None:
         for number in range(100):
             until(lambda: _visited(url))
             if number in (0, 99):
-                until(lambda: not any("process_req" in each.name for each in threading.enumerate()))
+                until(lambda: not any("process_req" in item.name for item in threading.enumerate()))
                 before = before or len(os.listdir("/proc/self/fd"))
         until(lambda: len(os.listdir("/proc/self/fd")) <= before)
     until(lambda: threading.active_count() == threads)
@@ -253,7 +253,7 @@ def test_a_signal_ends_a_server_with_open_streams() -> None:
             assert program.wait() == 0
 
 
-def test_a_page_that_cannot_be_gets_one_line() -> None:
+def test_an_invalid_page_gets_one_line() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         place = f"127.0.0.1:{listener.getsockname()[1]}"
         result = run("serve", "tcp://127.0.0.1:0", "--page", place, environment=PAGE_TOKEN)

@@ -115,7 +115,7 @@ def test_a_browser_shows_and_changes_values() -> None:
 
         # Nothing was blocked, and nothing was missing but the value that was refused.
         complaints = person.complaints()
-        assert [each for each in complaints if "/value - " not in each] == []
+        assert [complaint for complaint in complaints if "/value - " not in complaint] == []
 
 
 def test_large_tables_and_a_server_that_goes() -> None:

@@ -59,9 +59,9 @@ def test_samples_that_are_too_close_replace_each_other_but_a_gap_hides_no_number
 def test_a_time_without_samples_is_a_gap(every: float | None, values: list[float | None]) -> None:
     points = [(1.0, 1.0), (2.0, 2.0), (5.5, 3.0)]
     samples = sampled(points, every)
-    assert [each for _, each in samples.pairs()] == values
+    assert [sample for _, sample in samples.pairs()] == values
     assert samples.spark().count(-1) == values.count(None)
-    assert [each for _, each in with_gaps([*points], every)] == values
+    assert [point for _, point in with_gaps([*points], every)] == values
 
 
 def test_samples_are_in_the_order_of_time_and_a_gap_is_one_of_them() -> None:

@@ -36,7 +36,7 @@ def test_rows_come_when_they_are_looked_at_and_change_when_their_values_do() -> 
         plant.put("meter", "p7", 1.0)  # out of sight
         plant.put("meter", "p101", 21.5)
         visitor.receive(lambda: visitor.seen["rows"]["102"]["value"]["text"] == "21.5")
-        assert [list(each["rows"]) for each in visitor.messages] == [["102"]]
+        assert [list(message["rows"]) for message in visitor.messages] == [["102"]]
 
 
 def test_rows_are_found_by_words() -> None:

@@ -30,7 +30,7 @@ class NamedDevice(Device):
 
     name = "tank <script>alert(1)</script>"
     description = "a & b"
-    points = {each.name: each for each in POINTS}  # noqa: RUF012
+    points = {point.name: point for point in POINTS}  # noqa: RUF012
 
 
 def make_server(**options: Any) -> Server:
@@ -90,14 +90,14 @@ class Visitor:
         self, method: str, path: str, body: Any = None, **headers: str | None
     ) -> tuple[int, dict[str, str], bytes]:
         """Return status, headers and body; a header that is None is left out."""
-        fields = self.headers | {name.replace("_", "-"): each for name, each in headers.items()}
+        fields = self.headers | {name.replace("_", "-"): header for name, header in headers.items()}
         connection = http.client.HTTPConnection(*self.address, timeout=20)
         with contextlib.closing(connection):
             data = body if body is None or isinstance(body, bytes) else json.dumps(body).encode()
             connection.putrequest(method, path, skip_host="Host" in fields)
-            for name, each in fields.items():
-                if each is not None:
-                    connection.putheader(name, each)
+            for name, field in fields.items():
+                if field is not None:
+                    connection.putheader(name, field)
             if data is not None and "Content-Length" not in fields:
                 connection.putheader("Content-Length", str(len(data)))
             connection.endheaders(data)

@@ -91,7 +91,7 @@ class SimulatedBus(Party):
         self._events.after(every, self.flood, data, every)
 
     def hear(self, data: bytes) -> None:
-        (port,) = (each for each in self._line.parties if isinstance(each, MemorySerialPort))
+        (port,) = (party for party in self._line.parties if isinstance(party, MemorySerialPort))
         self._line.character = port.character
         framer = framing.make_framer(self._framing, "server")
         for frame in framer.scan(data):

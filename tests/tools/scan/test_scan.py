@@ -42,7 +42,7 @@ def all_of(scanned: Scan) -> list[FoundUnit]:
 
 def only_read(pdus: list[bytes]) -> bool:
     """No function that writes, and of 8 and 43 none that changes anything."""
-    return all(each[0] in READING and (each[0] != 43 or each[1] == 14) for each in pdus)
+    return all(row[0] in READING and (row[0] != 43 or row[1] == 14) for row in pdus)
 
 
 def three_units() -> dict[int, Member]:
@@ -60,20 +60,20 @@ def test_three_units_are_found_at_their_two_rates(network: Network, scheme: str)
     assert bus.asked == []
     assert scanned.total == 16
     units = all_of(scanned)
-    assert [at(each) for each in units] == [
+    assert [at(unit) for unit in units] == [
         (5, 9600, "N", 2),
         (42, 9600, "N", 2),
         (17, 19200, "E", 1),
     ]
-    assert [each.exception for each in units] == [None, None, 2]
-    for each in units:
-        assert each.data_bits == (7 if scheme == "ascii" else 8)
-        assert each.server_id is not None
-        assert each.server_id.running
-        assert each.identification is not None
-        assert each.identification.names == OBJECTS
-        assert (each.is_late, each.is_any) == (False, False)
-        assert each.took < 0.2  # the first answer on a line is held for longer
+    assert [unit.exception for unit in units] == [None, None, 2]
+    for unit in units:
+        assert unit.data_bits == (7 if scheme == "ascii" else 8)
+        assert unit.server_id is not None
+        assert unit.server_id.running
+        assert unit.identification is not None
+        assert unit.identification.names == OBJECTS
+        assert (unit.is_late, unit.is_any) == (False, False)
+        assert unit.took < 0.2  # the first answer on a line is held for longer
     assert only_read([request[2] for request in bus.asked])
     assert scanned.requests == len(bus.asked)
     with Client(units[0].url) as client:  # the URL is one of a client
@@ -103,7 +103,7 @@ def test_a_late_answer_is_its_own_units_on_tcp_too(network: Network) -> None:
 
     server = served(network, "tcp://10.0.0.1", slow)
     scanned = scan(server.url, units=[1, 2, 3, 4, 5], timeout=0.1)
-    assert [(each.unit, each.is_late) for each in all_of(scanned)] == [(2, True)]
+    assert [(unit.unit, unit.is_late) for unit in all_of(scanned)] == [(2, True)]
     assert server.connections == 1
 
 
@@ -161,7 +161,7 @@ def test_a_rate_that_the_port_cannot_do_is_passed_over(monkeypatch: pytest.Monke
     with line({1: meter()}) as wire:
         url = f"rtu://{wire.client}"
         scanned = scan(url, baudrates=[12345, 9600], parities="N", units=[1], timeout=PATIENT)
-        assert [at(each) for each in all_of(scanned)] == [(1, 9600, "N", 2)]
+        assert [at(unit) for unit in all_of(scanned)] == [(1, 9600, "N", 2)]
         assert "12345" in scanned.notes[0]
         with pytest.raises(ModbusConnectionError, match="refused"):
             next(scan(url, baudrates=[12345], units=[1]))
@@ -175,11 +175,11 @@ def test_units_are_found_over_networks(network: Network, scheme: str) -> None:
     units = {1: meter(holding_registers=1), 17: meter()}
     peer = answering(network, f"{scheme}://10.0.0.1", units)
     devices = all_of(scan(peer.url, units=[1, 2, 17, 18]))
-    assert [(each.unit, each.exception, each.baudrate) for each in devices] == [
+    assert [(device.unit, device.exception, device.baudrate) for device in devices] == [
         (1, None, None),
         (17, 2, None),
     ]
-    assert all(each.identification is not None for each in devices)
+    assert all(device.identification is not None for device in devices)
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,7 @@ def test_a_server_that_ignores_the_unit_is_one_device(scheme: str, tables: Any) 
     assert ["ignores the unit" in note for note in scanned.notes] == [True]
 
 
-def test_units_answered_as_nobody_can_be_are_not_counted() -> None:
+def test_units_answered_like_impossible_ones_are_not_counted() -> None:
     """A gateway that answers exception 4 for whoever is not there, as mbusd does for some."""
 
     def answer(request: bytes) -> list[bytes]:
@@ -205,7 +205,7 @@ def test_units_answered_as_nobody_can_be_are_not_counted() -> None:
 
     with FakeServer(answer) as server:
         scanned = scan(server.url, timeout=PATIENT)
-        assert [each.unit for each in all_of(scanned)] == [17]
+        assert [unit.unit for unit in all_of(scanned)] == [17]
     assert any("247 units are answered like units that cannot exist" in n for n in scanned.notes)
 
 
@@ -219,7 +219,7 @@ def test_a_server_that_hangs_up_on_unknown_units_is_asked_on(network: Network) -
         return [mbap(request, b"\x03\x02\0\1" if request[7] == 3 else refusal)]
 
     server = served(network, "tcp://10.0.0.1", answer)
-    assert [each.unit for each in all_of(scan(server.url, units=[3, 4, 5]))] == [4]
+    assert [unit.unit for unit in all_of(scan(server.url, units=[3, 4, 5]))] == [4]
     assert server.connections > 1
 
 
@@ -259,7 +259,7 @@ def test_pymodbus_is_found(scheme: str) -> None:
     options: Any = {} if scheme == "tcp" else {"parities": "E"}
     with pymodbus_serving(scheme) as url:
         units = all_of(scan(url, units=[UNIT - 1, UNIT], timeout=0.5, **options))
-    assert [(each.unit, each.is_any) for each in units] == [(UNIT, False)]
+    assert [(unit.unit, unit.is_any) for unit in units] == [(UNIT, False)]
 
 
 def _port(process: subprocess.Popen[str]) -> int:
@@ -270,7 +270,7 @@ def _port(process: subprocess.Popen[str]) -> int:
 
 
 def test_a_scan_can_be_left_at_any_time() -> None:
-    with line({each: meter() for each in (1, 2, 3)}) as wire:
+    with line({number: meter() for number in (1, 2, 3)}) as wire:
         url = f"rtu://{wire.client}"
         for unit in scan(url, baudrates=[9600], parities="N", timeout=PATIENT):
             assert unit.unit == 1
@@ -318,7 +318,7 @@ def test_units_are_found_over_tls(tmp_path: Path) -> None:
     stranger = pki.security(certificates.self_signed())
     with server.background("tls://127.0.0.1:0") as running:
         url = running.urls[0]
-        assert [each.unit for each in all_of(scan(url, security=pki.client()))] == [1, 9]
+        assert [unit.unit for unit in all_of(scan(url, security=pki.client()))] == [1, 9]
         with pytest.raises(ModbusConnectionError):  # at once, not 248 times
             next(scan(url, security=stranger, timeout=PATIENT))
         assert server.statistics.accepted < 9

@@ -25,7 +25,7 @@ BOUND = "the bound on requests"
 
 def ranges(searched: Search) -> dict[str, list[range]]:
     with searched:
-        return {each.table: each.ranges for each in searched}
+        return {extent.table: extent.ranges for extent in searched}
 
 
 Answers = Callable[[int, int, int], int | None]
@@ -57,10 +57,10 @@ def test_all_ranges_are_found_with_few_requests() -> None:
     """Of two tables of registers 525 reads each are the fewest, and 33 of bits."""
     with Server(Device(Mapping(65536, 65536, 65536, 65536))).background("tcp://127.0.0.1:0") as to:
         searched = search(to.urls[0], timeout=PATIENT)
-        extents = {each.table: each for each in searched}
-    for each in extents.values():
-        assert (each.ranges, each.unseen, each.ended) == ([range(65536)], 0, "")
-    assert searched.requests == sum(each.requests for each in extents.values())
+        extents = {extent.table: extent for extent in searched}
+    for extent in extents.values():
+        assert (extent.ranges, extent.unseen, extent.ended) == ([range(65536)], 0, "")
+    assert searched.requests == sum(extent.requests for extent in extents.values())
     assert 2 * (525 + 33) <= searched.requests <= 2 * (525 + 33) + 20
     assert extents["holding_registers"].most == 125
     assert extents["coils"].most == 2000
@@ -93,8 +93,8 @@ def test_ranges_with_gaps_are_found(scheme: str) -> None:
             "input_registers": [range(7)],
         }
         assert searched.requests <= 2000
-        assert {each.ended for each in searched.extents} == {BOUND}
-        assert all(each.unseen < 300 for each in searched.extents)
+        assert {extent.ended for extent in searched.extents} == {BOUND}
+        assert all(extent.unseen < 300 for extent in searched.extents)
 
 
 def test_ranges_are_found_on_a_line() -> None:
@@ -115,9 +115,9 @@ def test_ranges_are_found_on_a_line() -> None:
 )
 def test_a_table_that_refuses_all_is_left_soon(network: Network, code, tables, requests, reason):
     searched = search(answering(network, lambda *counts: code).url, timeout=PATIENT)
-    assert [each.ranges for each in searched] == [[]] * tables
+    assert [extent.ranges for extent in searched] == [[]] * tables
     assert searched.requests == requests
-    assert {each.ended for each in searched.extents} == {reason}
+    assert {extent.ended for extent in searched.extents} == {reason}
 
 
 def test_a_busy_device_is_asked_again(network: Network) -> None:
@@ -167,8 +167,8 @@ def test_a_search_sends_no_more_than_most_requests(network: Network, bound: int)
     with search(server.url, timeout=PATIENT, most_requests=bound) as searched:
         extents = list(searched)
     assert searched.requests == len(server.requests) == bound
-    assert {each.ended for each in extents} == {BOUND}
-    assert all(each.unseen for each in extents)
+    assert {extent.ended for extent in extents} == {BOUND}
+    assert all(extent.unseen for extent in extents)
 
 
 def test_libmodbus_own_server_is_searched(compiled: Callable[[str], Path]) -> None:
@@ -212,7 +212,7 @@ Reader = Callable[[range], bool]
 
 def strict(*there: range) -> Reader:
     """Refuses every read that touches a hole."""
-    cells = {cell for each in there for cell in each}
+    cells = {cell for entry in there for cell in entry}
     return lambda read: all(cell in cells for cell in read)
 
 
@@ -284,5 +284,5 @@ def test_no_range_is_reported_that_cannot_be_read(ends: list[int], most: int, ra
     there = [range(*pair) for pair in zip(points[::2], points[1::2], strict=False)]
     reader = limited(most, *there)
     cells, _ = found(lambda read: reader(read) and random.random() > 0.1, bound=5000)
-    claimed = {cell for each in cells.ranges for cell in each}
-    assert claimed <= {cell for each in there for cell in each}
+    claimed = {cell for range_ in cells.ranges for cell in range_}
+    assert claimed <= {cell for entry in there for cell in entry}

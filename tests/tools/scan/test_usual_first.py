@@ -29,19 +29,19 @@ def test_usual_settings_and_units_are_asked_first(network: Network) -> None:
     steps: list[Progress] = []
     with scan(bus.url, timeout=TIMEOUT, on_progress=steps.append) as scanned:
         assert list(scanned) == []
-    places = list(dict.fromkeys(each.setting for each in steps))
+    places = list(dict.fromkeys(step.setting for step in steps))
     assert places[:4] == ["9600 8E1", "9600 8N2", "19200 8E1", "19200 8N2"]
     assert places[4:9] == ["9600 8O1", "19200 8O1", "38400 8E1", "38400 8N2", "38400 8O1"]
     rates = list(dict.fromkeys(place.partition(" ")[0] for place in places[6:]))
     assert rates == ["38400", "57600", "115200", "4800", "2400", "1200"]
     assert len(places) == SETTINGS == scanned.settings
     usual = SETTINGS * len(USUAL_UNITS)
-    assert [each.unit for each in steps[:FIRST]] == [*FIRST_UNITS] * SETTINGS
-    assert {each.unit for each in steps[:usual]} == {*USUAL_UNITS}
-    assert {each.unit for each in steps[usual:]} == {*range(1, 248)} - {*USUAL_UNITS}
-    settings = {(each.setting, each.unit) for each in steps}
+    assert [step.unit for step in steps[:FIRST]] == [*FIRST_UNITS] * SETTINGS
+    assert {step.unit for step in steps[:usual]} == {*USUAL_UNITS}
+    assert {step.unit for step in steps[usual:]} == {*range(1, 248)} - {*USUAL_UNITS}
+    settings = {(step.setting, step.unit) for step in steps}
     assert len(settings) == len(steps) == scanned.total == SETTINGS * 247  # each once
-    assert [each.done for each in steps] == [*range(scanned.total)]
+    assert [step.done for step in steps] == [*range(scanned.total)]
     assert {setting: sorted(units) for setting, units in scanned.tried.items()} == {
         place: [*range(1, 248)] for place in places
     }
@@ -69,7 +69,7 @@ def test_the_settings_at_which_a_unit_answered_are_the_first_of_the_second_round
     unit = next(scanned)
     assert (unit.unit, unit.baudrate, unit.parity) == (7, 19200, "E")
     assert len(steps) < FIRST + 3 * len(USUAL_UNITS)
-    late = [(each.unit, each.baudrate, each.parity) for each in scanned]
+    late = [(unit.unit, unit.baudrate, unit.parity) for unit in scanned]
     second = steps[SETTINGS * len(USUAL_UNITS)]
     assert (second.setting, second.unit) == ("19200 8E1", 11)
     # One stop bit: odd parity looks the same on this bus.
@@ -106,6 +106,6 @@ def test_one_device_that_ignores_the_unit_is_not_asked_again(network: Network) -
     bus = SimulatedBus(network, every)
     with scan(bus.url, baudrates=[9600, 19200], parities="N", timeout=TIMEOUT) as scanned:
         units = list(scanned)
-    assert [(each.is_any, each.baudrate) for each in units] == [(True, 9600)]
+    assert [(unit.is_any, unit.baudrate) for unit in units] == [(True, 9600)]
     assert len([unit for baudrate, unit in probed(bus) if baudrate == 9600]) == 3
     assert sum("all units are answered alike" in note for note in scanned.notes) == 1

@@ -51,7 +51,7 @@ def test_bits_by_number_range_and_name(text: str, value: Any) -> None:
         (COILS + "value = { 0 = true }", "value.0 must be in 5..12, not 0"),
     ],
 )
-def test_a_bit_that_cannot_be_is_named(text: str, message: str) -> None:
+def test_an_invalid_bit_is_named(text: str, message: str) -> None:
     with pytest.raises(device_file.DeviceFileError, match=message):
         value_of(text)
 

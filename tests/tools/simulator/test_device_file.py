@@ -66,7 +66,7 @@ def test_a_table_without_ranges_does_not_exist() -> None:
     assert answer(device, pdu.ReadExceptionStatus()) == 3
 
 
-def test_units_are_told_apart_and_faults_are_collected() -> None:
+def test_units_are_distinguished_and_faults_are_collected() -> None:
     simulation = parse("""
         fault = [{ kind = "no_answer", every = 9 }]
         [[unit]]

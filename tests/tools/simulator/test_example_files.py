@@ -91,7 +91,7 @@ def test_the_examples_have_every_key() -> None:
     present = {one or other for one, other in keys}
     present |= set(re.findall(r"^\[+(?:unit\.)?(\w+)[].]", text, re.MULTILINE))
     # What registers say is in register maps; `test_every_key_of_points` tries those keys here.
-    meaning = [each.name for each in fields(Point) if each.init]
+    meaning = [field.name for field in fields(Point) if field.init]
     present.update(meaning[meaning.index("missing") :])
     for options in (UNIT, SERVER_ID, FIFO, *CONTENTS.values(), OF_FAULTS, OF_BEHAVIOURS):
         assert set(options) - {"columns", "list"} <= present  # which the lists of vendors need
@@ -121,7 +121,7 @@ MISTAKES = Path(__file__).with_name("golden") / "mistakes.txt"
 """A file as Python writes it, and in the next line what is said of it; then an empty line."""
 
 
-def test_a_wrong_file_is_told_what_is_wrong(tmp_path: Path, refused: Refused) -> None:
+def test_errors_of_files_name_the_mistake(tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "meter.csv").write_text(METER)
     (tmp_path / "bad.csv").write_text("name,table,address\na,coilz,0\n")
 

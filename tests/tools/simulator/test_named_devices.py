@@ -216,7 +216,7 @@ def test_bounds_of_maps_and_ranges_also_of_points_that_share_cells(make_device: 
     assert (device["total"], device["total_low"]) == (70_000, 4464)
 
 
-def test_a_value_that_moves_cannot_be_written_by_another_name_either(make_device: Write) -> None:
+def test_a_moving_value_cannot_be_written_by_another_name(make_device: Write) -> None:
     device = make_device("moves = { total = { counter = {} } }", BOUNDS)
     for address in (1, 2):
         with pytest.raises(IllegalDataAddress):

@@ -63,7 +63,7 @@ def write_all(device: SimulatedDevice, _: Clock) -> None:
 
 
 @each_case("text", [PLAIN, "# a comment\n" + PLAIN, PLAIN.replace("id = 2", "id = 9")])
-def test_a_unit_of_which_the_file_says_the_same_stays_the_same(text: str) -> None:
+def test_a_unit_whose_entry_did_not_change_keeps_its_device(text: str) -> None:
     devices: list[Device] = []
     assert after(PLAIN, lambda device, _: devices.append(device), text) is devices[0]
 
@@ -152,7 +152,7 @@ def path(tmp_path: Path) -> Path:
     return file
 
 
-def test_a_mistake_keeps_the_old_devices_and_is_told(path: Path) -> None:
+def test_a_mistake_keeps_the_old_devices_and_is_reported(path: Path) -> None:
     with reloading(path) as (ask, client, messages):
         client.write_register(0, 42)
         for text, message in (
@@ -238,7 +238,7 @@ def test_clients_lose_nothing_that_they_write_while_it_is_read_again(path: Path)
         thread.start()
         try:
             number = 0
-            while sum("read again" in each for each in messages) < 50:
+            while sum("read again" in message for message in messages) < 50:
                 number += 1
                 client.write_register(0, number % 65536)
                 assert client.read_holding_registers(0, 1) == [number % 65536]
@@ -274,4 +274,4 @@ def test_devices_that_were_replaced_are_not_kept(path: Path) -> None:
             until(lambda: bool(messages))
         assert client.read_holding_registers(0, 2) == [1, 2]
         gc.collect()
-        until(lambda: sum(isinstance(each, SimulatedDevice) for each in gc.get_objects()) < 10)
+        until(lambda: sum(isinstance(item, SimulatedDevice) for item in gc.get_objects()) < 10)

@@ -47,15 +47,15 @@ def values_of(group: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
             yield prefix + name, (kind, value, point)
     for name, inner in group.groups.items():
         if isinstance(inner, list):
-            for at, each in enumerate(inner, 1):
-                yield from values_of(each, f"{prefix}{name}.{at}.")
+            for at, entry in enumerate(inner, 1):
+                yield from values_of(entry, f"{prefix}{name}.{at}.")
         else:
             yield from values_of(inner, f"{prefix}{name}.")
 
 
 def comparable(ours: Any, kind: str, theirs: Any, point: Any) -> tuple[Any, Any]:
     """Return both values in one form: numbers for states and bits."""
-    symbols = {each["name"]: each["value"] for each in point.pdef.get("symbols") or ()}
+    symbols = {row["name"]: row["value"] for row in point.pdef.get("symbols") or ()}
     if isinstance(ours, dict):
         mask = sum(1 << at for at in symbols.values())
         theirs = None if theirs is None else theirs & mask
@@ -82,8 +82,8 @@ def test_the_models_and_values_are_those_of_pysunspec2(
         peer = SunSpecModbusClientDeviceTCP(1, host, int(port), timeout=5)
         peer.scan()
         peer.close()
-    assert [(each.id, each.address, each.length) for each in device] == [
-        (each.model_id, each.model_addr, each.model_len) for each in peer.model_list
+    assert [(model.id, model.address, model.length) for model in device] == [
+        (entry.model_id, entry.model_addr, entry.model_len) for entry in peer.model_list
     ]
     assert (len(device), device.notes) == (DEVICES[name], ())
     compared = 0
@@ -103,7 +103,7 @@ def test_the_models_and_values_are_those_of_pysunspec2(
 def test_an_unknown_model_is_kept_as_registers(ask: Callable[[str], FoundUnit]) -> None:
     with serving(chain([64999, 3, 7, 8, 9], [64999, 0])) as url:
         device, values = ask(url)
-    assert [each.is_known for each in device] == [False, False]
+    assert [model.is_known for model in device] == [False, False]
     assert values["model_64999.registers"] == [7, 8, 9]
     assert values["model_64999_2.L"] == 0
 
@@ -152,7 +152,7 @@ COMMON = [1, 66, *([0] * 66)]
 def test_a_chain_is_followed_to_the_end_model() -> None:
     walk_result = walk_through(walk(BASES), chain(COMMON, [64999, 3, 7, 8, 9]))
     result = walk_result.result
-    assert [tuple(each) for each in result.headers] == [(1, 40002, 66), (64999, 40070, 3)]
+    assert [tuple(header) for header in result.headers] == [(1, 40002, 66), (64999, 40070, 3)]
     assert (result.base, result.end, result.notes) == (40000, 40075, [])
     assert walk_result.requests == [(0, 2), (40000, 2), (40002, 2), (40070, 2), (40075, 2)]
 
@@ -177,7 +177,7 @@ def test_a_chain_that_does_not_end_well_is_followed_as_far_as_it_goes(
     walk_result = walk_through(walk(BASES), cells)
     assert (len(walk_result.result.headers), len(walk_result.requests)) == (models, requests)
     assert walk_result.result.end is None
-    assert [each[: len(note)] for each in walk_result.result.notes] == [note]
+    assert [entry[: len(note)] for entry in walk_result.result.notes] == [note]
 
 
 @pytest.mark.parametrize("base", BASES)

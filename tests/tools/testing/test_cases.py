@@ -69,7 +69,7 @@ def test_bytes_that_were_read_are_not_waited_for(ends: tuple[int, int]) -> None:
 
 
 @pytest.mark.timeout(20)
-def test_more_than_there_is_room_for_is_written_when_somebody_reads(ends: tuple[int, int]) -> None:
+def test_more_than_a_pipe_holds_is_written_once_it_is_read(ends: tuple[int, int]) -> None:
     far, near = ends
     data = bytes(range(256)) * 1000
     thread = threading.Thread(target=write_all, args=(far, data))
@@ -82,7 +82,7 @@ def test_more_than_there_is_room_for_is_written_when_somebody_reads(ends: tuple[
 
 
 @pytest.mark.timeout(60)
-def test_a_wire_that_nobody_reads_at_the_other_end_can_be_closed(monkeypatch) -> None:
+def test_a_wire_whose_peer_does_not_read_can_be_closed(monkeypatch) -> None:
     """More is written than the terminals hold: what finds no room is lost, and not waited for."""
     monkeypatch.setattr("libmodbus_py.tools.testing.wires.TIMEOUT", 0.01)
     with SerialWire() as wire:

@@ -125,7 +125,7 @@ class TestReports:
         assert "... 10 earlier ones" in lines
         assert all(len(line) < 170 and line.endswith("...") for line in requests)
 
-    def test_an_answer_that_came_late_says_so(self, suite: Suite, write: Write) -> None:
+    def test_a_late_answer_is_marked_as_late(self, suite: Suite, write: Write) -> None:
         write("""
     def test_late(modbus_server, modbus_faults):
         modbus_faults.switch_on(Fault("delay", seconds=0.2))
@@ -245,7 +245,7 @@ class TestOthers:
 
 
 class TestImports:
-    def test_a_run_that_uses_none_loads_nothing_of_the_package(self) -> None:
+    def test_a_run_without_fixtures_does_not_import_the_package(self) -> None:
         code = (
             "import pytest, sys; before = set(sys.modules);"
             "import libmodbus_py.tools.testing.plugin;"

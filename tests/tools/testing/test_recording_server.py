@@ -32,7 +32,7 @@ def quiet(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
 
 class TestServer:
     @pytest.mark.parametrize("time", [1, 2])
-    def test_each_test_gets_a_new_one_with_all_tables(self, modbus_server: RecordingServer, time):
+    def test_each_test_gets_a_new_server(self, modbus_server: RecordingServer, time):
         assert modbus_server.transactions == []
         with Client(f"tcp://{modbus_server.host}:{modbus_server.port}", unit=247) as client:
             for unit in (1, 247):
@@ -57,7 +57,7 @@ class TestServer:
         with Client(server.url) as client:
             for count in range(1, 6):
                 client.read_coils(0, count)
-        assert [each.response for each in server.transactions] == [[False] * 4, [False] * 5]
+        assert [item.response for item in server.transactions] == [[False] * 4, [False] * 5]
 
 
 class TestMaker:
@@ -89,7 +89,7 @@ class TestMaker:
                     client.for_unit(2).read_coils(15, 1)
                 with pytest.raises(ModbusTimeoutError):
                     client.for_unit(3).read_coils(0, 1)
-        assert [each.kind for each in server.transactions] == [
+        assert [transaction.kind for transaction in server.transactions] == [
             *("answered", "exception", "unanswered"),
             *("answered", "exception", "unanswered"),
         ]
@@ -119,4 +119,4 @@ class TestSerialLine:
             assert client.read_coils(0, 1) == [False]
             client.for_unit(0).write_coil(0, True)
         assert len(modbus_serial_line.sent_by("client")) > 8
-        assert [each.kind for each in server.transactions] == ["answered", "broadcast"]
+        assert [item.kind for item in server.transactions] == ["answered", "broadcast"]

@@ -59,13 +59,13 @@ def test_a_program_may_be_killed_at_each_step_of_a_transaction(path: str, tmp_pa
     file.close()
     assert len(copies) > 30
     states = set()
-    for each in copies:
-        again = JournalFile(str(each), 1e10, 10**9)
+    for entry in copies:
+        again = JournalFile(str(entry), 1e10, 10**9)
         contents = again.open(["a"])
         confirmed, _ = contents.places["a"]
         again.write_polls([], {"a": confirmed}, 0)
         again.close()
-        ids = in_journal(str(each))
+        ids = in_journal(str(entry))
         assert ids == [*range(1, len(ids) + 1)]
         assert confirmed <= len(ids) < contents.first
         states.add((len(ids), confirmed))
@@ -134,7 +134,7 @@ async def test_a_reload_in_the_midst_of_transactions_loses_and_repeats_nothing(
     [
         lambda batch: batch.clear(),
         lambda batch: batch.reverse(),
-        lambda batch: batch.extend([each._replace(id=each.id + 10**6) for each in batch]),
+        lambda batch: batch.extend([reading._replace(id=reading.id + 10**6) for reading in batch]),
     ],
     ids=["clears", "reverses", "extends"],
 )
@@ -180,8 +180,8 @@ async def test_a_poll_that_is_killed_loses_nothing_that_was_journalled(tmp_path:
 
 
 def delete(path: str, *endings: str) -> None:
-    for each in endings:
-        os.unlink(f"{path}{each}")
+    for ending in endings:
+        os.unlink(f"{path}{ending}")
 
 
 async def poll_all(broker: FakeOutput, count: int) -> None:

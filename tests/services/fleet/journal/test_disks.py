@@ -70,13 +70,13 @@ def test_a_disk_that_fails_for_long_is_logged_delays_no_output_and_loses_no_read
     run_for(path, 100, broker, away, change=fail)
     assert broker.ids == away.ids == in_journal(path)
     # Once until something succeeds; after a failure to force, the next write does.
-    logged = [each.getMessage() for each in caplog.records]
-    failures = sum(each.endswith(reason) for each in logged)
+    logged = [record.getMessage() for record in caplog.records]
+    failures = sum(record.endswith(reason) for record in logged)
     assert failures == logged.count(f"{path} accepts readings again") > 0
     assert ("Traceback" in caplog.text) is (error is DEFECT)
 
 
-def test_a_disk_that_is_full_for_long_takes_a_bounded_memory(
+def test_memory_is_bounded_while_a_disk_is_full(
     path: str, disk: Failing, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(recent, "MOST_WAITING", 60)
@@ -183,10 +183,10 @@ async def test_an_output_gets_what_memory_has_dropped_when_it_is_in_the_file(
     monkeypatch.setattr(recent, "MOST_IN_MEMORY", 4)
     journal = Journal(path)
     [place] = await journal.open(["broker"])
-    journal.put_readings(each for at in range(10) for each in readings("a", float(at)))
+    journal.put_readings(reading for at in range(10) for reading in readings("a", float(at)))
     ids = await place.take_polls(100, timeout=HOUR)
     await journal.close()
-    ids = [each.id for each in ids]
+    ids = [id_.id for id_ in ids]
     assert ids == in_journal(path)
     assert len(ids) == 20
 
@@ -213,9 +213,9 @@ async def test_each_poll_is_forced_onto_the_disk_although_none_follows(path: str
     await journal.close()
     times = [at for name, at in calls if name == "write_polls"]
     assert len(times) == 4
-    for each in times:
-        forced = min(at for name, at in calls if name == "force" and at > each)
-        assert forced - each <= 0.5 + 0.5 + 0.01  # until it begins, and what the disk takes
+    for time_ in times:
+        forced = min(at for name, at in calls if name == "force" and at > time_)
+        assert forced - time_ <= 0.5 + 0.5 + 0.01  # until it begins, and what the disk takes
 
 
 @in_simulated_time

@@ -35,13 +35,13 @@ def test_a_broker_that_is_away_for_an_hour_misses_nothing(path: str, inline: Non
 
     fleet = run_for(path, HOUR - 60, broker, other, change=come_back)
     assert broker.ids == other.ids == in_journal(path)
-    assert [each.dropped for each in fleet.statistics.outputs.values()] == [0, 0]
+    assert [output.dropped for output in fleet.statistics.outputs.values()] == [0, 0]
     assert len({*broker.ids}) == len(broker.ids)
     journal = journal_of(fleet)
     assert (journal.dropped, journal.failures, journal.trouble) == (0, 0, "")
 
 
-def test_an_output_goes_on_in_the_next_run(path: str, inline: None) -> None:
+def test_an_output_continues_in_the_next_run(path: str, inline: None) -> None:
     away, present = FakeOutput("north", is_away=True), FakeOutput("south")
     run_for(path, 100, away, present)
     assert away.ids == []
@@ -75,10 +75,10 @@ async def test_readings_have_ids_for_programs_too(path: str, inline: None) -> No
             await asyncio.sleep(25)
             fleet.replace([])
             await asyncio.sleep(1)
-        results = [each async for each in iterator]
+        results = [reading async for reading in iterator]
     assert results[-1].quality == "offline"
-    assert [each.id for each in results] == list(range(results[0].id, results[0].id + len(results)))
-    assert [each.id for each in results] == in_journal(path)
+    assert [item.id for item in results] == list(range(results[0].id, results[0].id + len(results)))
+    assert [result.id for result in results] == in_journal(path)
 
 
 @in_simulated_time
@@ -102,15 +102,15 @@ async def test_an_output_that_is_slower_than_the_readings_is_bounded_by_the_jour
     while batch := await place.take_polls(500, 0.1):
         batches += batch
         await place.confirm_readings(batch)
-    assert [each.id for each in batches] == rows
+    assert [batch.id for batch in batches] == rows
     assert place.dropped == 10_000 - len(rows)
     await journal.close()
-    assert [each.getMessage() for each in caplog.records] == [
+    assert [record.getMessage() for record in caplog.records] == [
         "slow: the journal is full; its oldest readings are dropped unconfirmed"
     ]
 
 
-def test_a_file_is_the_same_output_in_whatever_folder_the_program_starts(
+def test_the_identity_of_a_file_does_not_depend_on_the_folder(
     path: str, inline: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -141,8 +141,8 @@ async def test_a_journal_may_be_behind_a_link_and_is_the_same_one(path: str, tmp
     journal.put_readings(readings("a", time.time()))
     await journal.close()
     assert len(in_journal(path)) == 2
-    assert [each.value for each in Journal(link).history("a", "p1", 0, time.time())] == [0.1]
-    assert {each.name for each in tmp_path.iterdir() if each.name.startswith("link")} == {link.name}
+    assert [sample.value for sample in Journal(link).history("a", "p1", 0, time.time())] == [0.1]
+    assert {path.name for path in tmp_path.iterdir() if path.name.startswith("link")} == {link.name}
 
 
 async def test_a_journal_belongs_to_one_fleet(path: str) -> None:
@@ -208,7 +208,7 @@ async def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.M
     for at in range(50):
         journal.put_readings(readings("a", time.time() + at))
         batch = await place.take_polls(100)
-        ids.extend(each.id for each in batch)
+        ids.extend(reading.id for reading in batch)
         await place.confirm_readings(batch)
     goes_on.set()
     await journal.close()

@@ -103,7 +103,7 @@ def some(first: int, *names: str, site: str = "north") -> list[JournalPoll]:
 def test_readings_keep_the_labels_of_their_time(file: JournalFile) -> None:
     for at, site in enumerate(["x", "y", "x"]):
         file.write_polls(some(1 + at, "p0", site=site), {}, 0)
-    read = [each.readings[0].labels["site"] for each in file.read_polls(0, 99)]
+    read = [read_poll.readings[0].labels["site"] for read_poll in file.read_polls(0, 99)]
     assert read == ["x", "y", "x"]
     assert len(history(file.path, "a", "p0", 0, 9)) == 3
 
@@ -112,8 +112,8 @@ def test_the_first_points_of_a_list_are_not_all_of_a_history(file: JournalFile) 
     file.write_polls(some(1, "p0", "p1"), {}, 0)
     file.write_polls(some(3, "p0"), {}, 0)
     assert query(file.path, "SELECT chosen FROM poll") == [(None,), (None,)]
-    assert [each.value for each in history(file.path, "a", "p1", 0, 9)] == [1]
-    assert [each.value for each in history(file.path, "a", "p0", 0, 9)] == [1, 3]
+    assert [sample.value for sample in history(file.path, "a", "p1", 0, 9)] == [1]
+    assert [sample.value for sample in history(file.path, "a", "p0", 0, 9)] == [1, 3]
 
 
 @pytest.mark.parametrize("names", [("p0", "p1"), ("p1",)])
@@ -122,9 +122,9 @@ def test_a_history_has_numbers_and_text(file: JournalFile, names: tuple[str, ...
     file.write_polls(some(1, "p0", "p1"), {}, 0)
     for first, value in ((3, True), (5, [1, None]), (7, {"a": False})):
         [poll] = some(first, *names)
-        changed = [each._replace(value=value) for each in poll.readings]
+        changed = [reading._replace(value=value) for reading in poll.readings]
         file.write_polls([poll._replace(readings=changed)], {}, 0)
-    values = [each.value for each in history(file.path, "a", "p1", 0, 9)]
+    values = [sample.value for sample in history(file.path, "a", "p1", 0, 9)]
     assert list(map(repr, values)) == ["1", "1", "'[1,null]'", "'{\"a\":false}'"]
 
 
@@ -294,12 +294,12 @@ def test_a_damaged_row_is_left_out(file: JournalFile, caplog: pytest.LogCaptureF
 
 def test_a_history_is_read_while_the_journal_is_written(file: JournalFile) -> None:
     file.write_polls(polls(1, 100), {}, 0)
-    some = [each._replace(time=300.0, value=9.5) for each in readings()[1:]]
-    bad = [each._replace(time=301.0, value=None, quality="bad") for each in reversed(readings())]
+    some = [reading._replace(time=300.0, value=9.5) for reading in readings()[1:]]
+    bad = [item._replace(time=301.0, value=None, quality="bad") for item in reversed(readings())]
     file.write_polls([*numbered(some, 500), *numbered(bad, 502)], {}, 0)
     rows = history(file.path, "a", "p1", 150.0, 1000.0)
-    assert [each.time for each in rows] == [*map(float, range(150, 200)), 300.0, 301.0]
-    assert [tuple(each)[1:] for each in rows[-3:]] == [(0.1, "good"), (9.5, "good"), (None, "bad")]
+    assert [row.time for row in rows] == [*map(float, range(150, 200)), 300.0, 301.0]
+    assert [tuple(row)[1:] for row in rows[-3:]] == [(0.1, "good"), (9.5, "good"), (None, "bad")]
     assert history(file.path, "a", "p0", 299.0, 300.0) == []
     assert history(file.path, "a", "none", 0.0, 1000.0) == []
     assert len(history(file.path, "a", "p1", 0.0, 1000.0, most=9)) <= 9

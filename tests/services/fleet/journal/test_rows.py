@@ -36,7 +36,7 @@ def values(*numbers: Any) -> list[HistoricalValue]:
 
 def times_of(values: list[HistoricalValue], length: float, most: int) -> list[float]:
     """Return the seconds of the values that stand for the others."""
-    return [each.time - SINCE for each in thinned(values, SINCE, SINCE + length, most)]
+    return [sample.time - SINCE for sample in thinned(values, SINCE, SINCE + length, most)]
 
 
 @each_case(
@@ -81,9 +81,9 @@ def test_numbers_and_gaps_of_a_value(path: str) -> None:
     with closing(JournalFile(path, 1e9, 10**9)) as file:
         file.open([])
         for at, value, quality in rows:
-            poll = [each._replace(time=float(at), value=value) for each in readings()]
+            poll = [reading._replace(time=float(at), value=value) for reading in readings()]
             file.write_polls(
-                numbered([each._replace(quality=quality) for each in poll], at * 10), {}, 0
+                numbered([reading._replace(quality=quality) for reading in poll], at * 10), {}, 0
             )  # type: ignore[arg-type]
         assert past("a", "p1", 0.0, 9.0, 100) == [(1.0, 5.5), (2.0, None), (3.0, None), (4.0, 7.0)]
         assert past("a", "p1", 3.5, 9.0, 100) == [(4.0, 7.0)]
@@ -106,7 +106,7 @@ class FakeJournal:
         return noted
 
     async def after(self, number: int, most: int) -> tuple[list[JournalPoll], int]:
-        behind = [each for each in self.polls if each.first > number]
+        behind = [poll for poll in self.polls if poll.first > number]
         return behind[:2], number
 
 
@@ -115,7 +115,7 @@ def place_in(journal: FakeJournal, confirmed: int, waiting: int) -> JournalPlace
 
 
 @in_simulated_time
-async def test_an_output_that_confirms_twice_or_late_goes_on_where_it_was() -> None:
+async def test_an_output_that_confirms_twice_or_late_keeps_its_place() -> None:
     journal = FakeJournal(*polls(1, 4))
     place = place_in(journal, 0, 8)
     first, second = await place.take_polls(2), await place.take_polls(2)
@@ -126,7 +126,7 @@ async def test_an_output_that_confirms_twice_or_late_goes_on_where_it_was() -> N
     assert (place.confirmed, place.dropped, journal.noted) == (4, 0, 1)
     place.put_back(first)
     third = await place.take_polls(2)
-    assert [each.id for each in third] == [5, 6]
+    assert [entry.id for entry in third] == [5, 6]
     dropped = place.dropped
     place.drop_readings(third)
     assert (place.confirmed, place.dropped) == (6, dropped + 2)

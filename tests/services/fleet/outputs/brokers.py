@@ -110,12 +110,12 @@ def plain(payload: Any) -> Any:
     if isinstance(payload, str):
         return payload
     if "values" in payload:
-        return {name: each["value"] for name, each in payload["values"].items()}
+        return {name: row["value"] for name, row in payload["values"].items()}
     return payload["value"]
 
 
 def payloads(messages: list[tuple[str, Any, bool]], topic: str) -> list[Any]:
-    return [payload for each, payload, _ in messages if each == topic]
+    return [payload for message, payload, _ in messages if message == topic]
 
 
 @asynccontextmanager

@@ -108,11 +108,11 @@ def check(topic: str, config: dict[str, Any]) -> str:
     assert "name" in config["origin"]
     assert config["origin"].keys() <= words(ORIGIN)
     assert config["availability_mode"] in ("all", "any", "latest")
-    for each in config["availability"]:
-        assert {"topic"} <= each.keys() <= words(AVAILABILITY)
-    topics = [each["topic"] for each in config["availability"]]
+    for source in config["availability"]:
+        assert {"topic"} <= source.keys() <= words(AVAILABILITY)
+    topics = [source["topic"] for source in config["availability"]]
     topics += [config[key] for key in ("state_topic", "command_topic") if key in config]
-    assert not any(set("+#\0") & set(each) for each in topics)
+    assert not any(set("+#\0") & set(topic) for topic in topics)
     unit, kind = config.get("unit_of_measurement"), config.get("device_class")
     if kind == "enum":
         assert config["options"]
@@ -156,7 +156,7 @@ class HomeAssistant:
             config = json.loads(payload)
             self.added.append(topic)
             self.entities[topic] = check(topic, config), config
-            ids = [(each, entity["unique_id"]) for each, entity in self.entities.values()]
+            ids = [(entry, entity["unique_id"]) for entry, entity in self.entities.values()]
             assert len(set(ids)) == len(ids), "two entities with one id"
 
     @property
@@ -178,8 +178,8 @@ class HomeAssistant:
     def is_available(self, name: str, device: str = "") -> bool:
         _, config = self.entity(name, device)
         assert config["availability_mode"] == "all"
-        states = [self.payloads.get(each["topic"]) for each in config["availability"]]
-        return all(each == "online" for each in states)
+        states = [self.payloads.get(source["topic"]) for source in config["availability"]]
+        return all(state == "online" for state in states)
 
     def state(self, name: str, device: str = "") -> Any:
         """The state of an entity: None if it is unknown."""

@@ -104,8 +104,8 @@ async def test_a_reload_discards_answers_of_former_devices(after: list[str]) -> 
             fleet.replace([meter(name, url, labels={"run": "2"}) for name in after])
             answers.set()
             await asyncio.sleep(1)
-            assert {each.device for each in readings if each.quality == "good"} == {*after}
-            assert all(each.labels == {"run": "2"} for each in readings)
+            assert {reading.device for reading in readings if reading.quality == "good"} == {*after}
+            assert all(reading.labels == {"run": "2"} for reading in readings)
             statistics = fleet.statistics
             assert (statistics.devices, statistics.up) == (len(after), len(after))
             assert statistics.down == 0

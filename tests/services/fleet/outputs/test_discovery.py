@@ -85,7 +85,7 @@ async def test_every_kind_of_point_becomes_the_entity_that_shows_it(broker: Brok
     ):
         await fleet.write("north", {"setpoint": 21.5})  # which makes a poll at once
         await until(lambda: len(home.entities) == 35 and home.is_available("voltage"))
-        components = {config["name"]: each for each, config in home.entities.values()}
+        components = {config["name"]: entry for entry, config in home.entities.values()}
         states = {name: home.state(name) for name in components if name != "start"}
         assert states == {
             "voltage": 230.5,
@@ -108,7 +108,7 @@ async def test_every_kind_of_point_becomes_the_entity_that_shows_it(broker: Brok
             "label": "AB",
             "clock": "2023-09-12T06:06:56+00:00",
         }
-        assert {name: each for name, each in components.items() if "sensor" not in each} == {
+        assert {name: item for name, item in components.items() if "sensor" not in item} == {
             "mode": "select",
             "setpoint": "number",
             "gain": "number",
@@ -118,7 +118,7 @@ async def test_every_kind_of_point_becomes_the_entity_that_shows_it(broker: Brok
             "start": "switch",
         }
         kinds = {name: home.entity(name)[1].get("device_class") for name in components}
-        assert {name: each for name, each in kinds.items() if each} == {
+        assert {name: kind for name, kind in kinds.items() if kind} == {
             "voltage": "voltage",
             "energy": "energy",
             "flow": "volume_flow_rate",
@@ -142,7 +142,7 @@ async def test_a_value_that_a_user_sets_is_written_and_shown_at_once(broker: Bro
         await until(lambda: len(home.entities) == 35 and home.is_available("voltage"))
         values = {"setpoint": 12.3, "mode": "off", "valve": False, "gain": -2.5}
         values |= {"label": 'a"', "alarm": False}
-        fleet.replace([replace(each.config, interval=600) for each in fleet.devices.values()])
+        fleet.replace([replace(device.config, interval=600) for device in fleet.devices.values()])
         await until(lambda: fleet.devices["north"].state is DeviceState.NEW)
         for name, value in values.items():
             await home.set(name, value)
@@ -189,8 +189,8 @@ async def test_two_hundred_entities_are_added_and_deleted(broker: Broker) -> Non
         devices = [meter(f"meter {at}", peer.url, map=points(20)) for at in range(10)]
         async with discovered(broker, *devices, topic="plant/{device}") as (fleet, home):
             await until(lambda: len(home.entities) == 200)
-            await until(lambda: all(home.is_available("point 7", each.name) for each in devices))
-            assert {home.state("point 19", each.name) for each in devices} == {7.0}
+            await until(lambda: all(home.is_available("point 7", item.name) for item in devices))
+            assert {home.state("point 19", device.name) for device in devices} == {7.0}
             fleet.replace(devices[:1])
             await until(lambda: len(home.entities) == 20)
             fleet.replace([meter("meter 0", peer.url, map=points(3))])
@@ -228,7 +228,7 @@ async def test_names_of_any_characters_are_those_of_entities(broker: Broker, top
         async with discovered(broker, *devices, topic=topic, commands=True) as (fleet, home):
             await until(lambda: len(home.entities) == len(NAMES) ** 2)
             assert home.names == {f"number: {a}: {b}" for a in NAMES for b in NAMES}
-            await until(lambda: all(home.is_available(NAMES[0], each) for each in NAMES))
+            await until(lambda: all(home.is_available(NAMES[0], name) for name in NAMES))
             await until(lambda: all(home.state(a, b) == 7.0 for a in NAMES for b in NAMES))
             for name in NAMES:
                 await home.set(name, 7, name)
@@ -317,7 +317,7 @@ async def discovered_now(
         listening = asyncio.create_task(listen())
         output = Mqtt(broker.url, discovery="homeassistant", **options)
         async with Fleet(devices, outputs=[output]) as fleet:
-            count = sum(len(each.names) for each in devices)
+            count = sum(len(device.names) for device in devices)
             await until(lambda: fleet.statistics.outputs[output.name].written >= count)
             yield retained
         listening.cancel()
@@ -388,7 +388,7 @@ def discovery() -> Discovery:
 def messages_of(discovery_: Discovery, device: DeviceConfig, quality: Any) -> list[bytes]:
     readings = [Reading(0.0, device.name, name, 1, "", quality) for name in device.names]
     changed = discovery_.changed(readings)
-    payloads = [each.payload for each in discovery_.messages(changed)]
+    payloads = [message.payload for message in discovery_.messages(changed)]
     discovery_.keep_devices(changed, readings, set())
     return payloads
 

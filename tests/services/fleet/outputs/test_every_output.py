@@ -32,8 +32,8 @@ STATES = RegisterMap([Point("level", "holding_registers", 0, states={1: "open"})
 
 def described(points: RegisterMap = POINTS, **labels: Mapping[str, str]) -> dict[str, DeviceConfig]:
     return {
-        name: DeviceConfig(name, "tcp://127.0.0.1", points, labels=each)
-        for name, each in labels.items()
+        name: DeviceConfig(name, "tcp://127.0.0.1", points, labels=label)
+        for name, label in labels.items()
     }
 
 
@@ -93,14 +93,14 @@ def test_readings_have_the_labels_of_their_time(kind: str, tmp_path: Path) -> No
     first, last = former[0], former[-1]
     assert "Halle" in first
     assert "Tor" in last
-    assert not any("Hof" in each for each in former)
-    assert not any(each in south for each in ("Halle", "Tor", "Hof", '"labels"'))
+    assert not any("Hof" in entry for entry in former)
+    assert not any(entry in south for entry in ("Halle", "Tor", "Hof", '"labels"'))
 
 
 ODD = {"site": 'Halle "2", Tor\\', "line": "ü"}
 
 
-@each_case("kind", [each for each in EVERY if each not in ("csv", "influx")])
+@each_case("kind", [kind for kind in EVERY if kind not in ("csv", "influx")])
 def test_labels_of_json_are_an_object_that_stands_once(kind: str, tmp_path: Path) -> None:
     path = tmp_path / kind
     lines = EVERY[kind](path, [reading("north", "level")._replace(labels=ODD)])
@@ -116,7 +116,7 @@ def test_csv_has_a_column_for_each_label_that_is_named(tmp_path: Path) -> None:
     assert [row[-3:] for row in csv.reader(rows, strict=True)] == [["ü", "", ODD["site"]], [""] * 3]
 
 
-@each_case("kind", [each for each in EVERY if each not in ("csv", "influx")])
+@each_case("kind", [kind for kind in EVERY if kind not in ("csv", "influx")])
 @each_case("number", [0, 17])
 def test_json_has_the_id_of_a_reading_that_has_one(kind: str, number: int, tmp_path: Path) -> None:
     """Readings have ids from a journal."""

@@ -72,14 +72,14 @@ async def test_a_broker_that_is_not_trusted_gets_nothing(broker: Broker, tmp_pat
         assert messages == []
 
 
-async def test_a_file_of_authorities_that_is_none_is_told(tmp_path: Path) -> None:
+async def test_an_invalid_file_of_authorities_is_named(tmp_path: Path) -> None:
     (tmp_path / "ca.pem").write_text("nothing")
     output = Mqtt("mqtts://127.0.0.1:1", ca=str(tmp_path / "ca.pem"))
     with pytest.raises(OSError, match="contains no certificate"):
         await output.open_output()
 
 
-async def test_the_last_will_says_who_is_gone(broker: Broker, tmp_path: Path) -> None:
+async def test_the_last_will_reports_a_killed_poller(broker: Broker, tmp_path: Path) -> None:
     """A poller is killed: the broker says so, not the poller."""
     (tmp_path / "meter.csv").write_text("name,table,address\nx,holding_registers,0\n")
     (tmp_path / "fleet.toml").write_text(
@@ -110,13 +110,13 @@ async def test_wrong_credentials_are_one_line(broker: Broker, options, caplog) -
         fleet = Fleet([meter("a", peer.url, interval=60)], outputs=[right])
         await fleet.run(once=True)
         assert fleet.statistics.outputs[right.name].written == 3
-    warned = [each for each in caplog.records if each.levelno >= logging.WARNING]
-    assert len([each for each in warned if reason in each.getMessage()]) == 1
+    warned = [record for record in caplog.records if record.levelno >= logging.WARNING]
+    assert len([record for record in warned if reason in record.getMessage()]) == 1
     assert "wrong" not in caplog.text
     assert "secret" not in caplog.text
 
 
-async def test_a_connection_that_says_nothing_stops_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_silent_connection_delays_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mqtt_connection, "TIMEOUT_S", 0.2)
     silent = socket.create_server(("127.0.0.1", 0))
     port = silent.getsockname()[1]
@@ -230,8 +230,8 @@ async def test_polls_above_the_largest_message_are_several(broker: Broker) -> No
             await write_all(writer, poll("a", 0, **{f"point_{at}": at for at in range(100)}))
             await until(lambda: notes and len(notes) == notes[0][1]["parts"])
         messages = payloads(notes, "plant/a")
-        assert [each["part"] for each in messages] == list(range(1, len(messages) + 1))
-        assert sum(len(each["values"]) for each in messages) == 100
+        assert [message["part"] for message in messages] == list(range(1, len(messages) + 1))
+        assert sum(len(message["values"]) for message in messages) == 100
 
 
 def test_bad_option_is_named(refused: Refused) -> None:

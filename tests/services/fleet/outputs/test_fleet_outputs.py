@@ -44,7 +44,7 @@ async def polled(
 
 
 @in_simulated_time
-async def test_a_slow_output_loses_the_oldest_and_stops_nobody() -> None:
+async def test_a_slow_output_loses_the_oldest_readings_and_delays_no_other() -> None:
     output = FakeOutput(next=[1.5], buffer=20)
     fleet = await polled(output, lambda fleet: fleet.statistics.polls > 30)
     statistics = fleet.statistics.outputs["fake"]
@@ -67,8 +67,8 @@ async def test_an_output_that_fails_is_opened_again_and_loses_no_reading(caplog:
     assert len(output.opened_at) == output.closed == 4
     assert statistics.dropped == 0
     assert len(output.accepted) == fleet.statistics.readings
-    warned = [each for each in caplog.records if each.levelname == "WARNING"]
-    messages = [each.getMessage() for each in warned]
+    warned = [record for record in caplog.records if record.levelname == "WARNING"]
+    messages = [record.getMessage() for record in warned]
     assert messages.count("fake: no") == 1  # each trouble once
     assert "fake: a bug" in messages
     assert messages.count("fake accepts readings again") == 2
@@ -99,14 +99,14 @@ async def test_an_iterator_that_is_not_read_loses_the_oldest_readings() -> None:
             assert (await anext(iterator)).device == "a"
             await until(lambda: iterator.dropped > 20)
             first = await anext(iterator)
-        rest = [first, *[each async for each in iterator]]
+        rest = [first, *[reading async for reading in iterator]]
         assert len(rest) == 10
         assert len(fleet._receivers._iterated) == 1
 
 
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("path", ["/dev/full", "/nowhere/at/all", "/proc/version"])
-async def test_a_file_that_cannot_be_written_stops_nobody(path: str, caplog: Any) -> None:
+async def test_a_file_that_cannot_be_written_delays_no_other(path: str, caplog: Any) -> None:
     output = JsonOutput(path)
     fleet = await polled(output, lambda fleet: fleet.statistics.polls > 10, kind=real_peer)
     statistics = fleet.statistics.outputs[f"json {path}"]
@@ -117,7 +117,7 @@ async def test_a_file_that_cannot_be_written_stops_nobody(path: str, caplog: Any
 
 
 @pytest.mark.usefixtures("quick")
-async def test_a_pipe_that_nobody_reads_stops_nobody_and_leaves_nothing(tmp_path: Path) -> None:
+async def test_a_pipe_without_a_reader_delays_no_other_and_leaves_nothing(tmp_path: Path) -> None:
     path = tmp_path / "pipe"
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
@@ -143,11 +143,11 @@ class Described(FakeOutput):
     """An output that wants to know the devices."""
 
     def describe_devices(self, devices: Any) -> None:
-        self.labels = {name: each.labels for name, each in devices.items()}
+        self.labels = {name: device.labels for name, device in devices.items()}
 
 
 @in_simulated_time
-async def test_outputs_are_told_the_labels_of_devices_and_those_of_one_name_are_told_apart():
+async def test_outputs_get_the_labels_of_devices_which_distinguish_equal_names():
     outputs = [Described(), FakeOutput(), FakeOutput()]
     async with Peer() as peer:
         devices = [meter("a", peer.url, labels={"site": "here"})]

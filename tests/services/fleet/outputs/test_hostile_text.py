@@ -115,7 +115,7 @@ encoding = "latin-1"
 def test_commands_print_no_control_characters(url: str, tmp_path: Path, words: list[str]) -> None:
     fleet = tmp_path / "fleet.toml"
     fleet.write_text(FLEET.format(url=url))
-    with on_terminal(*(each.format(url=url, fleet=fleet) for each in words)) as terminal:
+    with on_terminal(*(word.format(url=url, fleet=fleet) for word in words)) as terminal:
         text = terminal.read_to_end()
     assert "5m" in text
     assert not OBEYED & set(text.replace("\r\n", "\n"))

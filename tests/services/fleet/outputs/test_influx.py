@@ -31,7 +31,7 @@ class Last(bytes):
 
 
 def response(status: str, body: bytes = b"", *headers: str) -> bytes:
-    lines = "".join(f"{each}\r\n" for each in headers)
+    lines = "".join(f"{header}\r\n" for header in headers)
     head = f"HTTP/1.1 {status}\r\nContent-Length: {len(body)}\r\n{lines}\r\n"
     return head.encode() + body
 
@@ -62,7 +62,7 @@ class HttpServer:
 
     async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bool:
         first, *rest = (await reader.readuntil(b"\r\n\r\n")).decode().split("\r\n")
-        headers = {name.lower(): value for name, value in (each.split(": ") for each in rest[:-2])}
+        headers = {name.lower(): value for name, value in (text.split(": ") for text in rest[:-2])}
         body = await reader.readexactly(int(headers["content-length"]))
         self.received.append(Received(first.removesuffix(" HTTP/1.1"), headers, body))
         answer = self.answers.pop(0) if self.answers else NO_CONTENT
@@ -234,7 +234,7 @@ def protocol(measurement: str = "modbus", name: str = "north") -> LineProtocol:
 
 
 def lines_of(*readings: Reading, **labels: str) -> str:
-    return protocol().lines([each._replace(labels=labels) for each in readings]).decode()
+    return protocol().lines([reading._replace(labels=labels) for reading in readings]).decode()
 
 
 @each_case(

@@ -32,9 +32,9 @@ def database(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Databa
 def write(database: Database, *readings: Reading, **labels: str) -> None:
     points = RegisterMap([Point("state", "holding_registers", 0, states={0: "off"})])
     output = Influx(url=database.url, database="plant")
-    names = {each.device for each in readings}
-    output.describe_devices({each: DeviceConfig(each, "tcp://127.0.0.1", points) for each in names})
-    asyncio.run(outputs.write(output, [each._replace(labels=labels) for each in readings]))
+    names = {reading.device for reading in readings}
+    output.describe_devices({name: DeviceConfig(name, "tcp://127.0.0.1", points) for name in names})
+    asyncio.run(outputs.write(output, [reading._replace(labels=labels) for reading in readings]))
 
 
 def reading(name: str, value: Any, time: float = 1_700_000_000.25, **keys: Any) -> Reading:

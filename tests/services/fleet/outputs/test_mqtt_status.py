@@ -101,7 +101,7 @@ def test_a_device_with_another_label_has_another_topic() -> None:
     ):
         labelled = [reading("a", 1)._replace(labels={"site": site})]
         changed = states.changed(labelled)
-        assert [each[:2] for each in states.messages(changed)] == messages
+        assert [message[:2] for message in states.messages(changed)] == messages
         states.keep_states(changed, labelled)
 
 
@@ -152,7 +152,7 @@ async def test_retained_messages_are_published_again_after_each_reconnection(
             count = writer.statistics.written + len(readings)
             writer.buffer.put_readings(readings)
             await until(lambda count=count: writer.statistics.written == count)  # type: ignore[misc]
-        assert await heard_later() == {topic: (each, True) for topic, each in retained.items()}
+        assert await heard_later() == {topic: (entry, True) for topic, entry in retained.items()}
         for _ in range(3):
             await broker.restart(writer.statistics)
         broker.kill()
@@ -161,7 +161,7 @@ async def test_retained_messages_are_published_again_after_each_reconnection(
         broker.start()
         topics = await heard_later()
         await until(lambda: writer.statistics.written == count + 1)
-    assert {topic: each for topic, (each, _) in topics.items()} == retained
+    assert {topic: entry for topic, (entry, _) in topics.items()} == retained
     assert writer.statistics.dropped == 0
     assert "accepts readings again" in caplog.text
     assert "Traceback" not in caplog.text
@@ -175,7 +175,7 @@ def narrow(broker: Broker) -> Broker:
 
 
 @pytest.mark.parametrize("qos", [0, 1])
-async def test_a_message_on_which_the_broker_disconnects_is_dropped_and_told_by_the_writer_only(
+async def test_a_message_on_which_the_broker_disconnects_is_dropped_and_logged_once(
     narrow: Broker, qos: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.DEBUG)
@@ -183,19 +183,19 @@ async def test_a_message_on_which_the_broker_disconnects_is_dropped_and_told_by_
         hearing(narrow, "modbus/+/text") as messages,
         output_writer(Mqtt(narrow.url, qos=qos)) as writer,
     ):
-        writer.buffer.put_readings([reading(*each) for each in (("a", 1, 0), ("b", "x" * 500, 1))])
-        writer.buffer.put_readings([reading(*each) for each in (("c", 1, 2), ("b", "y", 3))])
+        writer.buffer.put_readings([reading(*item) for item in (("a", 1, 0), ("b", "x" * 500, 1))])
+        writer.buffer.put_readings([reading(*entry) for entry in (("c", 1, 2), ("b", "y", 3))])
         await until(lambda: writer.statistics.written == 3)
         assert (writer.statistics.dropped, len(writer.buffer)) == (1, 0)
         await until(lambda: len({topic for topic, *_ in messages}) == 3)
     assert payloads(messages, "modbus/b/text")[-1]["value"] == "y"
-    logged = [each for each in caplog.records if each.levelno >= logging.INFO]
+    logged = [record for record in caplog.records if record.levelno >= logging.INFO]
     # asyncio tells of callbacks that a busy machine makes slow.
-    assert {each.name.partition(".")[0] for each in logged} - {"asyncio"} == {"libmodbus_py"}
-    assert any(each.name.endswith(".mqtt_connection.client") for each in caplog.records)
+    assert {record.name.partition(".")[0] for record in logged} - {"asyncio"} == {"libmodbus_py"}
+    assert any(record.name.endswith(".mqtt_connection.client") for record in caplog.records)
 
 
-async def test_a_connection_is_closed_if_nobody_waits_for_the_broker_any_more() -> None:
+async def test_a_connection_is_closed_if_no_task_waits_for_the_broker() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         output = Mqtt(f"mqtt://127.0.0.1:{listening.getsockname()[1]}")
         opening = asyncio.create_task(output.open_output())
@@ -231,13 +231,13 @@ async def test_a_write_that_is_cancelled_publishes_no_longer(broker: Broker) -> 
     broker.send_signal(signal.SIGSTOP)  # it confirms nothing
     writing = asyncio.create_task(output.write_readings([reading("a", 1)]))
     await asyncio.wait([writing], timeout=0.1)
-    assert any("_publish_all" in repr(each) for each in asyncio.all_tasks())
+    assert any("_publish_all" in repr(all_task) for all_task in asyncio.all_tasks())
     writing.cancel()
     with pytest.raises(asyncio.CancelledError):
         await writing
     for _ in range(10):  # turns of the loop
         await asyncio.sleep(0)
-    tasks = [each for each in asyncio.all_tasks() if "_publish_all" in repr(each)]
+    tasks = [all_task for all_task in asyncio.all_tasks() if "_publish_all" in repr(all_task)]
     broker.send_signal(signal.SIGCONT)
     assert not tasks
     await output.close_output()

@@ -38,7 +38,7 @@ def topic(template: str = TEMPLATE) -> Topic:
     return Topic("topic", template, ("device", "name"))
 
 
-def test_labels_are_levels() -> None:
+def test_labels_are_levels_of_topics() -> None:
     template = topic()
     assert template.of({"site": "Halle"}, device="north", name="power") == "plant/Halle/north/power"
     assert template.of({"site": "a/b+#%"}, device="n/x", name="p") == "plant/a%2Fb%2B%23%25/n%2Fx/p"
@@ -74,7 +74,7 @@ topic = "plant/{label.site}/{device}/{name}"
 
 
 @each_case("labels", ["", 'labels = { place = "Hof" }', 'labels = { site = "" }'])
-def test_a_device_without_the_label_is_told_when_the_file_is_read(labels, tmp_path) -> None:
+def test_a_device_without_the_label_is_an_error_of_the_file(labels, tmp_path) -> None:
     file = tmp_path / "fleet.toml"
     file.write_text(FLEET.replace("LABELS", labels))
     with pytest.raises(FleetFileError) as raised:

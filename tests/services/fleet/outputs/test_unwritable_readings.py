@@ -25,7 +25,7 @@ LOST = ConnectionError("the connection was lost")
 
 
 def errors(caplog: pytest.LogCaptureFixture) -> list[str]:
-    return [each.getMessage() for each in caplog.records if each.levelname == "ERROR"]
+    return [record.getMessage() for record in caplog.records if record.levelname == "ERROR"]
 
 
 def polls(devices: str, first: int = 0) -> list[Reading]:
@@ -69,9 +69,9 @@ def write_all(output: FakeOutput, devices: str, later: str = "") -> OutputStatis
 def test_a_poll_that_can_never_be_written_is_dropped_and_the_others_are_written(caplog) -> None:
     output = FakeOutput(refused=("b", "d"))
     statistics = write_all(output, "abcde")
-    assert [each.device for each in output.accepted] == list("aaccee")
+    assert [reading.device for reading in output.accepted] == list("aaccee")
     assert (statistics.dropped, statistics.written) == (4, 6)
-    assert errors(caplog) == [f"fake: 2 readings of {each} are dropped: too long" for each in "bd"]
+    assert errors(caplog) == [f"fake: 2 readings of {item} are dropped: too long" for item in "bd"]
 
 
 @each_case(("error", "failures"), [(RuntimeError("a bug"), 1), (OSError(errno.ENOSPC, "full"), 5)])
@@ -94,7 +94,7 @@ def test_an_output_that_raises_when_closed_is_opened_again() -> None:
 
     output = Clumsy(refused=("b",))
     assert write_all(output, "abc").dropped == 2
-    assert [each.device for each in output.accepted] == list("aacc")
+    assert [reading.device for reading in output.accepted] == list("aacc")
 
 
 def test_a_poll_is_never_divided_by_the_buffer() -> None:
@@ -132,13 +132,13 @@ async def test_once_waits_for_a_slow_output_and_ends_after_a_failure(is_gone, co
 def test_a_refused_poll_is_dropped_and_all_others_are_written(devices: str, refused: str) -> None:
     output = FakeOutput(refused=refused, error=LOST)
     statistics = write_all(output, devices, later="ab")
-    good = [each for each in polls(devices) if each.device not in refused]
+    good = [poll for poll in polls(devices) if poll.device not in refused]
     assert statistics.dropped == len(polls(devices)) - len(good)
     assert statistics.written == len(good) + 4
     assert {*map(str, output.accepted)} == {*map(str, [*good, *polls("ab")])}
 
 
-def test_a_poll_that_is_dropped_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_dropped_poll_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     write_all(FakeOutput(refused="b", error=LOST), "abc")
     assert errors(caplog) == [
         "fake: 2 readings of b are dropped: others were accepted and these were not,"
@@ -149,12 +149,12 @@ def test_a_poll_that_is_dropped_is_told_once(caplog: pytest.LogCaptureFixture) -
 def test_an_output_of_one_device_writes_its_later_polls() -> None:
     class OnePoll(FakeOutput):
         async def write_readings(self, readings: Sequence[Reading]) -> None:
-            self.refused = "a" if any(each.value == 1 for each in readings) else ""
+            self.refused = "a" if any(reading.value == 1 for reading in readings) else ""
             await super().write_readings(readings)
 
     output = OnePoll(error=LOST)
     assert write_all(output, "aaaa").dropped == 2
-    assert [each.value for each in output.accepted][-4:] == [2, 2, 3, 3]
+    assert [reading.value for reading in output.accepted][-4:] == [2, 2, 3, 3]
 
 
 @each_case("away", [*range(9), 20, 59])
@@ -164,8 +164,8 @@ def test_an_output_that_was_away_gets_all_readings_and_the_newest_last(away: int
     statistics = write_all(output, "abcabcab")
     assert (statistics.dropped, statistics.written) == (0, 16)
     assert {*map(str, output.accepted)} == {*map(str, every)}
-    newest = {each.device: each.value for each in output.accepted}
-    assert newest == {each.device: each.value for each in every}
+    newest = {reading.device: reading.value for reading in output.accepted}
+    assert newest == {entry.device: entry.value for entry in every}
 
 
 def test_a_poll_that_waits_alone_is_kept() -> None:
@@ -189,7 +189,7 @@ async def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
         await until(lambda: output.failed > 3)
         writer.buffer.put_readings(polls("bcd"))
         await end_of(writer)
-    assert {each.device for each in output.accepted} <= set("bcd")
+    assert {reading.device for reading in output.accepted} <= set("bcd")
     assert writer.statistics.written + writer.statistics.dropped == 8
     assert writer.statistics.written >= 4
 
@@ -207,7 +207,7 @@ def test_a_loss_after_a_refused_poll_drops_nothing() -> None:
 
     statistics = played(output, play)
     assert (statistics.written, statistics.dropped) == (8, 2)
-    assert [each.device for each in output.accepted[-4:]] == list("aacc")
+    assert [entry.device for entry in output.accepted[-4:]] == list("aacc")
 
 
 @pytest.mark.parametrize("devices", ["abc", "bac", "abcdefgh"])
@@ -230,7 +230,7 @@ def test_a_device_that_is_refused_again_costs_few_connections_and_no_time(device
     assert failed[0] <= 6
     assert max(failed[1:]) <= 2
     assert max(took[1:]) <= 0.3
-    assert {each.device for each in output.accepted} == set(devices) - {"b"}
+    assert {reading.device for reading in output.accepted} == set(devices) - {"b"}
 
 
 def test_a_device_that_is_accepted_again_is_believed_again() -> None:
@@ -248,7 +248,7 @@ def test_a_device_that_is_accepted_again_is_believed_again() -> None:
         output.refused = ""
 
     assert played(output, play).dropped == 2
-    assert [each.device for each in output.accepted].count("b") == 4
+    assert [reading.device for reading in output.accepted].count("b") == 4
 
 
 class Denied(Stream):
