@@ -142,3 +142,21 @@ def test_an_idle_client_leaves_a_flood_unread(scheme, data, pause, monkeypatch) 
         assert not reads
         failure(lambda: read(client, 1))
         assert reads
+
+
+def test_a_client_that_left_a_flood_unread_reads_the_next_answer() -> None:
+    """On a serial line; connections of sockets end. The response to a write repeats the request."""
+    with making("asyncio") as world:
+        data, end = bytes(range(0x80, 0x90)) * 16, world.now + 60.0
+        flood = flooding(world.network, data, 0.03)
+
+        def on_request(request: bytes, write: Write) -> None:
+            if world.now < end:
+                flood(request, lambda data: write(data) if world.now < end else None)
+            else:
+                write(request)
+
+        with world.client_of("rtu", on_request, timeout=0.1, retries=0) as client:
+            failure(lambda: read(client, 1))
+            world.sleep(90.0)
+            client.write_register(1, 7)

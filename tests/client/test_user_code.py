@@ -203,6 +203,11 @@ def test_an_on_done_that_raises_is_logged(caplog: pytest.LogCaptureFixture) -> N
     assert [record.message for record in caplog.records] == ["on_done failed"]
 
 
+def test_an_on_done_that_returns_a_coroutine_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    assert submitting(lambda plc, outcomes: asyncio.sleep(0)) == [[2]]
+    assert "which nothing awaits" in caplog.text
+
+
 def test_an_on_done_may_submit() -> None:
     def submit(plc: AsyncClient, outcomes: list[Any]) -> None:
         third = Sender(plc).submit(
