@@ -4,11 +4,12 @@ Change one place of the package at a time, and see whether a test fails.
     ./run python -m fuzz.mutants FOLDER [FOLDER ...] [--sample N] [--seed S]
 
 cosmic-ray makes the mutants and runs their tests; here places are drawn, with one mutant for each,
-and tests are chosen. The tests of the folders of the same name run once with pytest-cov, which
-records the lines that each executes. Of those of the changed line, those in files named as the
-module run first, then the fastest, and the first failure ends it. Mutants are made in copies of the
-tree, one for each process. What survives is printed as a diff. It is no gap if it changes only how
-much is done at once or how long a pause is: no test should repeat these values.
+and tests are chosen. The tests of the folders of the same name, or of those behind `--tests`, run
+once with pytest-cov, which records the lines that each executes. Of those of the changed line, the
+fastest run, preferably from files named as the module, and the first failure ends it. Mutants are
+made in copies of the tree, one for each process. What survives is printed as a diff. Tests of other
+folders may notice it; and it is no gap if it changes only how much is done at once or how long a
+pause is: no test should repeat these values.
 """
 
 from __future__ import annotations
@@ -134,16 +135,20 @@ class Tests:
         self._data.read()
 
     def choose(self, mutation: MutationSpec) -> list[str]:
-        """Return the tests of a statement, or those of its file if no test executes it."""
+        """Return the tests of a statement, or all about its file if no test executes it."""
         path, line = mutation.module_path, mutation.start_pos[0]
         first = max(n.lineno for n in nodes(path) if isinstance(n, ast.stmt) and n.lineno <= line)
         contexts = self._data.contexts_by_lineno(str(path.resolve()))
+        namesakes = {test for test in self._known if path.stem in test.partition("::")[0]}
         for lines in (range(first, mutation.end_pos[0] + 1), contexts):
             names = {name.rpartition("|")[0] for n in lines for name in contexts.get(n, ())}
             if tests := names & self._known:
                 break
+        if lines is contexts:
+            tests = tests | namesakes
+        cost = {test: self.seconds[test] / (10 if test in namesakes else 1) for test in tests}
         total, chosen = 0.0, []
-        for test in sorted(tests, key=lambda test: (path.stem not in test, self.seconds[test])):
+        for test in sorted(tests, key=lambda test: (cost[test], test)):
             total += self.seconds[test]
             if total < SECONDS or not chosen:
                 chosen.append(test)
