@@ -46,6 +46,7 @@ MANUALS: list[tuple[str, str, str, Any]] = [
     # A sign in front of the amount, as in the mantissa of IEEE 754.
     ("signmag16", "ABCD", "8065", -101),
     ("signmag16", "ABCD", "0065", 101),
+    ("signmag16", "ABCD", "0000", 0),
     ("signmag32", "CDAB", "0001 8000", -1),
     # AVEVA MBTCP driver: the registers of 64 bits in the orders 1 to 4; then with bytes swapped.
     ("uint64", "ABCDEFGH", "0123 4567 89AB CDEF", 0x0123456789ABCDEF),
