@@ -77,10 +77,11 @@ def nodes(path: Path) -> list[Any]:
 
 @cache
 def texts(path: Path) -> list[Any]:
-    """Return where nothing is changed: in annotations, decorators, errors and logs."""
+    """Return where nothing is changed: annotations, overloads, decorators, errors and logs."""
     found: list[Any] = []
     for node in nodes(path):
-        found += getattr(node, "decorator_list", [])
+        decorators = getattr(node, "decorator_list", [])
+        found += [node] if "overload" in map(ast.unparse, decorators) else decorators
         found += [getattr(node, name, None) for name in ("annotation", "returns")]
         if isinstance(node, ast.Raise | ast.Assert | ast.JoinedStr) or (
             isinstance(node, ast.Call) and re.match("logger|warn", ast.unparse(node.func))
