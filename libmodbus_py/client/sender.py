@@ -111,7 +111,7 @@ class SubmittedRequest:
 
     @property
     def is_answered(self) -> bool:
-        """True if a response was received, even if it may still turn out to be another one's."""
+        """True if a response was received, even if it may belong to another request."""
         return self._call.state is Phase.ANSWERED
 
     def send_no_more(self) -> bool:

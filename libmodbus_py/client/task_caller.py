@@ -71,7 +71,7 @@ class TaskCaller:
     def cancel(self, msg: Any = None) -> bool:
         resume, self._resume = self._resume, None
         if resume is None:
-            return False  # it goes on already, and is cancelled then
+            return False  # it was resumed already, and the cancellation follows
         self._cancelled = CancelledError() if msg is None else CancelledError(msg)
         self._loop.call_soon(resume, self, context=self._context)
         return True

@@ -306,7 +306,7 @@ MAX_REASONS = 100
 class _Reason:
     message: str
     ends: float  # the time from which on another line may be logged
-    count: int = 0  # since the last line
+    count: int = 0  # messages of this reason since the last line
     latest: tuple[object, ...] = ()
 
 

@@ -373,7 +373,7 @@ class Device(NamedValues, PythonFunctions):
         Call `before_read`, if there is one, for a program that reads values without a request.
 
         It is called in this thread, with an `Access` to `count` items of a table such as "coils",
-        from a 0-based address on, without unit, peer and role. Its exceptions are raised.
+        from a 0-based address on, without unit, peer and role. Exceptions of the hook are raised.
         """
         with self.mapping.lock:
             self._hooks.before(Accesses(reads=(Access(table, address, count, device=self),)))

@@ -154,7 +154,7 @@ class SerialPort(Port):
         rate = _baudrate_of(descriptor) or self.baudrate
         # A receiver tolerates 2 % (serial line, 2.4).
         if abs(rate - self.baudrate) > self.baudrate * 0.02:
-            from .serial_devices import highest_rate  # which clients do not need otherwise
+            from .serial_devices import highest_rate  # imported here: only this error needs it
 
             highest = highest_rate(self.device)
             limit = f", and at most {highest}" if highest else ""
@@ -196,7 +196,7 @@ class SerialPort(Port):
         return OSError(errno.EBUSY, f"in use by {other_programs(self.device)}")
 
     def _open_guard(self, mode: int) -> int:
-        """Return a descriptor of the port that the program waits for nothing to get."""
+        """Open the port without waiting for a modem, and return the descriptor."""
         self._release()
         flags = mode | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
         try:

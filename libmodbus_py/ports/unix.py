@@ -91,7 +91,7 @@ class UnixListener:
         os.unlink(self._path)
 
     def name(self, client: socket.socket) -> tuple[str, str]:
-        """Return the path with the user of a client, and that with its process."""
+        """Return the path with the user of a client; and the same with its process."""
         try:
             process, user = peer_credentials(client)
         except OSError:  # it has gone already

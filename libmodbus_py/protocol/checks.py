@@ -151,7 +151,7 @@ def log_warning(logger: str, text: str, *args: object) -> None:
 
 def _log(logger: str, method: str, text: str, args: tuple[object, ...]) -> None:
     try:
-        from .logs import HarmlessLogger  # no sooner than needed: most programs log nothing
+        from .logs import HarmlessLogger  # imported here, because most programs log nothing
     except OSError:  # logging cannot be imported, because no descriptor is left
         return
     getattr(HarmlessLogger(logger), method)(text, *args, stacklevel=3)

@@ -27,7 +27,7 @@ json_text: Callable[[Any], str] = json.JSONEncoder(allow_nan=False).encode
 
 
 def json_line(value: Any) -> str:
-    """Return a value as JSON, in which text is as it is, but for characters that print nothing."""
+    """Return a value as JSON that escapes only the characters that cannot be printed."""
     text = JSON.encode(value)
     if text.isprintable():
         return text

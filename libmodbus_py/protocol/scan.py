@@ -19,7 +19,7 @@ except ImportError as error:
 MAX_PDU = 253
 """Bytes of a PDU, function code included (application protocol, section 4.1)."""
 
-# Of a frame: with unit and CRC; and with a function alone.
+# Bytes of the longest RTU frame, with unit and CRC, and of the shortest, with a function alone.
 MAX_ADU, MIN_ADU = MAX_PDU + 3, 4
 
 GOES_ON: int = lib.GOES_ON

@@ -127,7 +127,7 @@ class FaultState:
 
     unit: int | None  # None for every unit
     fault: ServerFault
-    is_given: bool  # to the server itself, not switched on
+    is_given: bool  # True if it was passed to the server, and not switched on later
     is_on: bool = True
     number: int = field(default_factory=lambda: next(_numbers))  # greater than of earlier ones
 

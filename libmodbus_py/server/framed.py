@@ -92,7 +92,7 @@ class FrameServer(ABC):
         self._suspect: Frame | None = None  # a request that may be this echo
         # Ends the wait for the echo of one byte.
         self._echo_timer: asyncio.TimerHandle | None = None
-        self._is_echo_ruled_out = False  # True once it has not come
+        self._is_echo_ruled_out = False  # True once an answer had no echo
         # A request of which one byte of the answer was sent.
         self._open_request: Frame | None = None
         self._unanswered: Collection[object] = ()  # requests whose answers are still to come

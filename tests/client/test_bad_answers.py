@@ -101,7 +101,7 @@ def test_tcp_error_and_next_request_succeeds(world: World, name: str) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "tls", "udp", "unix"])
-def test_a_response_whose_header_counts_a_byte_too_much_is_taken(world: World, scheme) -> None:
+def test_a_response_whose_header_is_one_too_large_is_accepted(world: World, scheme) -> None:
     """wlcrs/tmodbus#146: exceptions of 9 bytes whose header says 4 in place of 3."""
     refusal, response = tcp(b"\x83\x02", length=4), tcp(GOOD, length=len(GOOD) + 2)
     peer = world.peer(scheme, answering(refusal, refusal, response, response))

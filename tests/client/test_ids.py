@@ -16,7 +16,7 @@ def test_a_request_has_the_header_of_the_specification() -> None:
     assert driver.sent == [bytes.fromhex("0001 0000 0006 11 03 006B 0001")]
 
 
-def test_ids_of_each_client_begin_elsewhere() -> None:
+def test_transaction_ids_of_clients_begin_at_random() -> None:
     """Some gateways send each answer to all their clients, or a late one to the newest."""
     assert len({first_id() for _ in range(20)}) > 15
 

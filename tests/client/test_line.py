@@ -99,7 +99,7 @@ NOISY = [
 
 @each_case(("before", "frame", "behind"), NOISY)
 @each_case("url", [LINE, "rtu+tcp://192.0.2.1"])
-def test_an_answer_between_noise_is_taken_as_soon_as_the_line_is_quiet(before, frame, behind, url):
+def test_an_answer_between_noise_is_found_as_soon_as_the_line_is_silent(before, frame, behind, url):
     driver = Driver(url, timeout=1)
     batch = driver.ask(1, unit=4)
     driver.come(bytes.fromhex(before) + frame + bytes.fromhex(behind))

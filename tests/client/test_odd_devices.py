@@ -51,7 +51,7 @@ def test_any_unit_may_answer(world: World, scheme: str) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "udp", "tls"])
-def test_any_id_is_taken_with_ids_ignore(world: World, scheme: str) -> None:
+def test_any_id_is_accepted_with_ids_ignore(world: World, scheme: str) -> None:
     def on_request(request: bytes, write: Write) -> None:
         write(mbap(request, b"\3\2" + request[8:10], transaction=0))
 
@@ -66,7 +66,7 @@ def test_any_id_is_taken_with_ids_ignore(world: World, scheme: str) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "udp"])
-def test_no_late_answer_is_taken_with_ids_ignore(world: World, scheme: str) -> None:
+def test_no_late_answer_is_accepted_with_ids_ignore(world: World, scheme: str) -> None:
     def on_request(request: bytes, write: Write) -> None:
         late = 0.6 if len(peer.requests) % 3 == 1 else 0.1
         write(mbap(request, b"\3\2" + request[8:10], transaction=0), after=late)

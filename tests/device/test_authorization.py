@@ -58,7 +58,7 @@ def test_there_is_an_example_of_each_class() -> None:
 
 @each_case("request_", REQUEST_OBJECTS, ids=lambda each: type(each).__name__)
 @each_case("serial", [False, True], ids=["network", "serial line"])
-def test_what_is_denied_is_not_executed(request_: pdu.Request[Any], serial: bool) -> None:
+def test_denied_requests_are_not_executed(request_: pdu.Request[Any], serial: bool) -> None:
     requests: list[ClientRequest] = []
     tables = Tables(denying(requests))
     log = EventLog(is_serial=serial)
@@ -75,7 +75,7 @@ def test_what_is_denied_is_not_executed(request_: pdu.Request[Any], serial: bool
 
 
 @each_case("example", examples("pdu"), ids=lambda each: each[:8].hex())
-def test_what_is_allowed_is_answered_as_ever(example: bytes) -> None:
+def test_allowed_requests_are_answered(example: bytes) -> None:
     guarded, free = Tables(lambda asked: True), Tables(None)
     assert guarded.device.answer(example) == free.device.answer(example)
     assert guarded.contents() == free.contents()

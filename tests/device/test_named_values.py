@@ -105,7 +105,7 @@ def test_points_beside_a_mapping_of_the_program() -> None:
         lambda: Device.of_map(MAP, [("mode", 1)]),  # type: ignore[arg-type]
     ],
 )
-def test_what_is_no_map_is_refused(make: Any) -> None:
+def test_invalid_maps_are_refused(make: Any) -> None:
     with pytest.raises(TypeError, match="must be"):
         make()
 

@@ -158,7 +158,7 @@ def test_a_question_that_leads_nowhere_is_a_mistake(site: Path) -> None:
         assert mistake == f"search: 'no answer' leads to {location}, which does not exist"
 
 
-def test_what_people_ask_leads_to_pages_that_exist() -> None:
+def test_questions_lead_to_pages_that_exist() -> None:
     questions = tomllib.loads((SCRIPTS / "asked.toml").read_text())
     assert {"no answer", "reconnect", "log to csv", "influxdb"} <= set(questions)
     for location in questions.values():

@@ -152,7 +152,7 @@ def test_the_number_of_registers_is_checked(tmp_path: Path) -> None:
         load_map(written(tmp_path, "name,address,type\na,40001-40003,int32\n"))
 
 
-def test_what_a_map_cannot_say_is_left_out_with_its_line(tmp_path: Path) -> None:
+def test_rows_that_no_map_can_express_are_left_out_with_their_line(tmp_path: Path) -> None:
     contents = contents_of(written(tmp_path, TEXTS["modpoll"]), 20, ListOptions(origin="modpoll"))
     assert list(contents.points) == ["reg01", "reg10", "reg13"]
     (mistake,) = contents.mistakes

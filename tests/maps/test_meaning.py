@@ -304,7 +304,7 @@ def told(request: Any) -> tuple[int, ...]:
 
 
 @each_case(("values", "requests"), WRITES)
-def test_parts_are_masked_or_whole(values: dict[str, Any], requests: list[tuple[int, ...]]) -> None:
+def test_writes_of_parts(values: dict[str, Any], requests: list[tuple[int, ...]]) -> None:
     assert [told(write) for write in PARTS.writes(values)] == requests
 
 

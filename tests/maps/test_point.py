@@ -205,7 +205,7 @@ def test_a_divisor_in_a_file_is_exact(tmp_path: Path) -> None:
 
 
 @each_case("scale", [0.1, 0.01, 0.001, 0.5, 0.125, 1e-30, 2.5, 0.333, 1e30, 0.0078125])
-def test_decimals_are_taken_as_they_are_written(scale: float) -> None:
+def test_decimals_are_read_as_they_are_written(scale: float) -> None:
     assert Fraction(str(point(scale=scale).decode([1]))) == Fraction(str(scale))
 
 

@@ -68,7 +68,7 @@ def tree(tmp_path: Path) -> Path:
         ("#include", "gcc libc6-dev python3-dev libmodbus-dev"),
     ],
 )
-def test_what_is_missing_is_said_in_one_line(tree: Path, hidden: str, packages: str) -> None:
+def test_missing_packages_are_named_in_one_line(tree: Path, hidden: str, packages: str) -> None:
     compiler = tree / "cc"
     compiler.write_text(
         f"#!/bin/sh\n! grep -qF '{hidden}' && exit 0\necho raw errors >&2; exit 1\n"

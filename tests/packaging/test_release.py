@@ -74,7 +74,7 @@ def installs_by_name(text: str) -> bool:
     return BY_NAME.search(text.replace("\\\n", " ")) is not None
 
 
-def test_nothing_installs_from_an_index_what_is_not_there() -> None:
+def test_no_instruction_installs_a_package_that_is_not_published() -> None:
     """Whoever registers the name could put anything under it."""
     files = runpy.run_path(str(ROOT / "packaging" / "deb.py"))["files"]()
     assert len(files) > 500

@@ -254,7 +254,7 @@ def test_the_zone_of_an_address_is_the_name_of_an_interface_as_it_is_written() -
     assert parse("tcp://[fe80::1%lo]").key != parse("tcp://[fe80::1%LO]").key
 
 
-def test_a_path_without_a_scheme_is_taken_as_it_is() -> None:
+def test_a_path_without_a_scheme_is_a_serial_port() -> None:
     assert parse("/dev/tty#x").path == "/dev/tty#x"
     assert parse("/dev/tty%23x?unit=7").path == "/dev/tty%23x"
 

@@ -156,7 +156,7 @@ def test_a_source_that_cannot_reach_the_host_is_named(source: str, number: int) 
     assert caught.value.errno == number
 
 
-def test_a_source_port_that_is_taken_is_named() -> None:
+def test_a_source_port_in_use_is_named() -> None:
     with socket.create_server(("127.0.0.2", 0)) as bound:
         source = f"127.0.0.2:{bound.getsockname()[1]}"
         with pytest.raises(ModbusConnectionError, match=f"\\(from {source}\\)") as caught:

@@ -163,7 +163,7 @@ def test_items_of_a_greeting(text: str, greeting: Any) -> None:
     assert greeting_of("greeting", text) == greeting
 
 
-def test_what_is_no_greeting_is_refused(refused: Refused) -> None:
+def test_an_invalid_greeting_is_refused(refused: Refused) -> None:
     refused("wrong_greetings.txt", lambda text: greeting_of("greeting", text))
 
 

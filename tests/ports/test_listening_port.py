@@ -203,7 +203,7 @@ def test_what_comes_before_the_first_request_is_dropped_and_later_a_likely_mista
 
 
 @ALL
-def test_an_answer_that_came_before_the_device_connected_again_is_taken(kind: str, port: int):
+def test_an_answer_from_before_the_device_connected_again_is_accepted(kind: str, port: int):
     url = f"listen+tcp://127.0.0.1:{port}"
     with dialling(port) as modems, asking(kind, url, timeout=10) as plc:
         until(lambda: modems)[0].before_answer = lambda: modems.append(Modem(port))

@@ -167,7 +167,7 @@ class TestSettingsOfTheDriver:
             (921_600, 923_076, True),  # a CP2102
         ],
     )
-    def test_a_rate_within_2_percent_is_taken(
+    def test_a_rate_within_2_percent_is_accepted(
         self, speed: int, actual: int, is_taken: bool, rate: Callable[[int], None], wire: SerialWire
     ) -> None:
         rate(actual)

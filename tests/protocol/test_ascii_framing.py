@@ -68,7 +68,7 @@ class TestAscii:
         assert framer.feed(b"\n" + self.good) == [READ]
         assert framer.quiet == 1.0
 
-    def test_lower_case_digits_are_taken(self) -> None:
+    def test_lower_case_digits_are_accepted(self) -> None:
         assert AsciiFramer().feed(self.good.lower()) == [READ]
         assert AsciiFramer().feed(b":1103006b00037E\r\n") == [READ]
 

@@ -115,7 +115,7 @@ class Plain:
 
 
 @each_case("call", [print, Plain(), Plain, partial(print, 1), Mock(), lambda: waits(), str.upper])
-def test_callables_that_return_no_coroutine_are_taken(call: Any) -> None:
+def test_callables_that_return_no_coroutine_are_accepted(call: Any) -> None:
     assert checked_callback("call", call) is call
 
 

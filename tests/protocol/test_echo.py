@@ -163,7 +163,7 @@ def test_a_request_of_four_bytes_is_not_held_back(request_: str) -> None:
     assert sent(True, ANSWER).without(rtu(request_)) == rtu(request_)
 
 
-def test_what_was_forgotten_does_not_come_back() -> None:
+def test_a_forgotten_request_has_no_echo() -> None:
     echo = sent(None, READ)
     echo.without(READ[:3])
     echo.forget()

@@ -61,7 +61,7 @@ def test_each_value_is_one_that_json_has(value: Any, result: Any) -> None:
     assert json.loads(json.dumps(plain(value), allow_nan=False)) == result
 
 
-def test_what_a_terminal_would_obey_is_shown_instead() -> None:
+def test_control_characters_are_shown_instead_of_sent() -> None:
     assert without_controls("a\x1b[2J\x9b\tb\nc \xe4") == "a\\x1b[2J\\x9b\\x09b\nc \xe4"
 
 

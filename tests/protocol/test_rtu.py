@@ -158,7 +158,7 @@ def test_a_function_of_80h_is_damage_when_no_frame_with_it_ends_with_silence() -
     assert heard(alone, SILENCE) == [("response", alone)]
 
 
-def test_what_is_kept_is_bounded() -> None:
+def test_the_number_of_kept_bytes_is_bounded() -> None:
     cutter, rest = RtuCutter("listener"), b""
     for piece in (b"\2\x08\0\0" + bytes(range(200)) * 3, b"\xff" * 1000, CLAIM * 100, b"\1\xc1"):
         rest += piece

@@ -209,7 +209,7 @@ class TestRtu:
     @each_case("noise", [b"\x00", b"\x11\x03\x00", b"\x11\x41"])
     @each_case("body", [b"\x41\x01\x02", *(head + b"\xa5\x37" for head in ENDLESS)])
     @each_case("role", ["client", "server"])
-    def test_function_without_length_is_taken_after_a_silence(self, role, body, noise) -> None:
+    def test_a_function_without_length_ends_with_a_silence(self, role, body, noise) -> None:
         framer = RtuFramer(role)
         frames = take(framer, noise)[0] + after_silence(framer)
         for _ in range(3):

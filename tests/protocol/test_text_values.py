@@ -161,6 +161,6 @@ def test_a_mac_address_is_text_behind_two_bytes_of_padding() -> None:
         (0x0DD74CC6448E, TypeError),
     ],
 )
-def test_what_is_no_mac_address_is_refused(value: Any, error: type[Exception]) -> None:
+def test_an_invalid_mac_address_is_refused(value: Any, error: type[Exception]) -> None:
     with pytest.raises(error, match=r"value must be (like 0D:D7:4C:C6:44:8E|a string)"):
         value_type("eui48").encode(value)

@@ -75,7 +75,7 @@ def test_the_whole_string_is_one_role(role: str) -> None:
         b"\x1b" * 9999,
     ],
 )
-def test_what_is_no_role_is_refused_in_one_short_line(value: bytes) -> None:
+def test_an_invalid_role_is_refused_in_one_short_line(value: bytes) -> None:
     with pytest.raises(RoleError, match=r"^the role") as caught:
         role_of(client(value))
     assert len(str(caught.value)) < 200
@@ -98,7 +98,7 @@ def test_another_extension_twice_is_refused_by_its_name() -> None:
 
 
 @each_case("data", [b"", b"\0", b"0", b"\x30\x00", b"\x30\x80", OPERATOR, b"a" * 100_000])
-def test_what_is_no_certificate_is_refused(data: bytes) -> None:
+def test_invalid_certificates_are_refused(data: bytes) -> None:
     with pytest.raises(RoleError, match="cannot be read"):
         role_of(data)
 

@@ -257,7 +257,7 @@ def digest(certificate: bytes) -> str:
         (bytes(32), TypeError, "pin must be a file or a SHA-256, not int"),
     ],
 )
-def test_what_is_no_pin_is_named(files: Files, pin, error, reason) -> None:
+def test_an_invalid_pin_is_named(files: Files, pin, error, reason) -> None:
     with pytest.raises(error, match=reason):
         Security(files.cert, files.key, pin=pin)
 

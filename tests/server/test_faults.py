@@ -72,7 +72,7 @@ def test_a_fault_of_the_program_happens(fault: EverySecond, error: type[Exceptio
     ],
     ids=repr,
 )
-def test_what_is_no_fault_is_named(faults: Any, text: str) -> None:
+def test_an_invalid_fault_is_named(faults: Any, text: str) -> None:
     with pytest.raises(TypeError, match=f"^{text}$"):
         Server(device(), faults=faults)
     server = Server(device())

@@ -73,7 +73,7 @@ class OddEnd(LineEnd):
 
 
 @pytest.mark.parametrize("end", [b"\r", b"\n"])
-def test_ascii_frames_that_end_with_one_byte_are_taken(lan: Lan, end: bytes) -> None:
+def test_ascii_frames_that_end_with_one_byte_are_accepted(lan: Lan, end: bytes) -> None:
     with unit_one("ascii:///dev/line"):
         master = LineEnd(lan.line("/dev/line"))
         master.write(ascii_frame("01 03 0000 0001", end))

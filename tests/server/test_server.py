@@ -30,7 +30,7 @@ def test_stops_whatever_clients_do(device: Device) -> None:
         connect(running.urls[0])
 
 
-def test_a_port_that_is_taken_is_a_clear_error(device: Device) -> None:
+def test_a_port_in_use_is_a_clear_error(device: Device) -> None:
     with socket.create_server(("127.0.0.1", 0)) as sock:
         url = f"tcp://127.0.0.1:{sock.getsockname()[1]}"
         with (

@@ -38,7 +38,7 @@ def test_a_character_may_have_more_bits() -> None:
     assert parse("rtu+tcp://192.0.2.1").pause == 0
 
 
-def test_everything_that_cuts_frames_waits_for_it() -> None:
+def test_framers_and_listeners_wait_for_the_pause() -> None:
     pause = pause_between_frames(300)
     for role in ("client", "server"):
         assert make_framer("rtu", role).quiet == pytest.approx(0.02)  # type: ignore[arg-type]

@@ -153,7 +153,7 @@ AFTER: dict[str, Callable[[TlsClient], bytes]] = {
 
 @VERSION
 @pytest.mark.parametrize("what", AFTER)
-def test_what_is_no_record_ends_the_connection_but_no_other(
+def test_an_invalid_record_ends_only_its_connection(
     lan: Lan, pki: Pki, what: str, version: ssl.TLSVersion, caplog: pytest.LogCaptureFixture
 ) -> None:
     with (

@@ -90,7 +90,7 @@ def test_worked_requests_are_answered_as_on_tcp(lan: Lan, subtests: pytest.Subte
 
 
 @pytest.mark.parametrize("allow", ["10.255.0.2/32", "2001:db8::/32"])
-def test_hosts_outside_are_not_answered(lan: Lan, allow: str) -> None:
+def test_hosts_that_are_not_allowed_get_no_answer(lan: Lan, allow: str) -> None:
     with server_on(lan, scheme="udp", allow=[allow]) as server, server.connect() as client:
         client.send(adu(READ_ONE))
         lan.pass_time(60)

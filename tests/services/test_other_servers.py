@@ -126,7 +126,7 @@ SECRETS: list[Callable[[Path], Any]] = [SecretFile, lambda path: FileText("NATS_
 
 @each_case("read_file", SECRETS)
 @each_case("mode", [0o600, 0o400, 0o604, 0o644, 0o444])
-def test_a_secret_is_taken_only_if_others_cannot_read_it(tmp_path, read_file, mode) -> None:
+def test_a_secret_is_used_only_if_others_cannot_read_it(tmp_path, read_file, mode) -> None:
     path = write_secret(tmp_path / "secret", "sesame")
     path.chmod(mode)
     if not mode & 0o077:

@@ -51,7 +51,7 @@ TIMES: dict[str, Any] = {
     "pending_size": -1,
 }
 
-# The most URLs: a mistake has more.
+# The most URLs of an engine.
 MOST_SERVERS = 32
 
 # Variable that names a file -> the option of nats-py, and what the file must contain.

@@ -96,8 +96,8 @@ class RequestBytes(pdu.Request[bytes]):
 @lru_cache(REMEMBERED)
 def request_of(data: bytes) -> RequestBytes:
     """
-    Return a request PDU as a request that can be forwarded, or raise why its end could not be
-    found on a serial line. All else is left to the device, which may know more than we do.
+    Return a request PDU as a request that can be forwarded; raise an error if its end could not
+    be found on a serial line. The device checks the rest, and may have functions of its own.
     """
     if not 1 <= data[0] <= 0x7F:
         raise errors.IllegalFunction(f"no function {data[0]}", function=data[0])

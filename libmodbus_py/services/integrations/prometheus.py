@@ -98,7 +98,7 @@ class Collector(_Collector):
             for fleet in fleets:
                 if all(other.fleet is not fleet.fleet for other in self._fleets):
                     self._fleets.append(fleet)
-            self._forget_gone()  # here, too, because the metrics may never be scraped
+            self._forget_gone()  # not only in scrapes, of which there may be none
 
     def describe(self) -> Iterator[Metric]:
         """Yield all possible metrics without values, so that a registry knows their names."""

@@ -19,7 +19,7 @@ from .pairing import Pairing
 from .transaction import Part, TimedFrame, Transaction, misuse_transaction
 
 TCP = 6  # the number of TCP among the protocols of IP
-MODBUS_PORT = 502  # the port by which Wireshark knows Modbus, and which a server has usually
+MODBUS_PORT = 502  # the usual port of servers, by which Wireshark recognizes Modbus
 FIN_SYN, SYN, RST, ACK = 0x03, 0x02, 0x04, 0x10  # flags of segments
 EXTENSIONS = (0, 43, 60)  # headers of IPv6 before that of TCP: hop by hop, routing, destination
 IPV4, IPV6, VLANS = 0x0800, 0x86DD, (0x8100, 0x88A8)  # EtherTypes: IPv4, IPv6, tags of VLANs

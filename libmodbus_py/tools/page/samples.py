@@ -62,7 +62,7 @@ class Samples:
         self.low: float | None = None
         self.high: float | None = None
         self._most = most
-        self._numbers = array("d")  # time and number of each: others read it in one step
+        self._numbers = array("d")  # times and numbers in turn: a thread copies both at once
 
     def add(self, time: float, value: Any) -> None:
         """Keep a sample; a value that is not a finite number is a gap."""

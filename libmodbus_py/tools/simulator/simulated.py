@@ -110,7 +110,7 @@ class SimulatedDevice(Device):
 
     def set_first_values(self) -> None:
         """Set the values that the device file gives; errors have the path of their key."""
-        # What scales others comes first.
+        # Points that scale others come first.
         scales = sources_of(self.points.values(), self.points)
         order = {name: at for at, name in enumerate(scales)}
         points = [point for point in self._contents if point.value is not None]

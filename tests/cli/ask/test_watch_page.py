@@ -37,7 +37,7 @@ ITEM = Item("holding_registers", 7, 1, word="holding")
 GOOD = ReadResult(ITEM, [ValueText("    7", "5", "5")], {})
 
 
-def test_what_fails_is_a_gap_with_its_reason() -> None:
+def test_a_failed_read_is_a_gap_with_its_reason() -> None:
     watch = ShownWatch("meter", 1.0)
     assert watch.status() == ("no answer yet", True)
     watch.print(3, [], "no answer")

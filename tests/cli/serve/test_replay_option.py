@@ -59,7 +59,7 @@ def test_a_replay_is_the_same_and_an_empty_server_is_not(capture: Path) -> None:
         (["listen", "{}", "--writes"], "--writes needs --compare-with"),
     ],
 )
-def test_what_does_not_go_together(words: list[str], message: str, capture: Path) -> None:
+def test_options_that_exclude_each_other(words: list[str], message: str, capture: Path) -> None:
     result = run(*(word.format(capture) for word in words))
     assert (result.code, result.out) == (2, "")
     assert message in result.err

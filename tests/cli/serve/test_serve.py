@@ -46,7 +46,7 @@ def test_serial_ports_are_served_and_read(kind: str) -> None:
         assert run("read", client, "holding", "5", "-p", "even") == (0, "    5  42\n", "")
 
 
-def test_serve_says_when_a_port_is_taken(url: str) -> None:
+def test_serve_reports_that_a_port_is_in_use(url: str) -> None:
     result = run("serve", url)
     assert result.code == 1
     assert result.err == f"libmodbus-py: cannot listen on {url}: Address already in use\n"

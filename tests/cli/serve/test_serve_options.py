@@ -52,7 +52,7 @@ def test_writes_are_refused_while_the_disk_is_full(command: list[str]) -> None:
 
 
 @pytest.mark.parametrize("command", ["serve", "gateway"])
-def test_what_changed_in_a_file_that_is_read_again_is_recorded(command, tmp_path) -> None:
+def test_changes_of_a_file_that_is_read_again_are_recorded(command, tmp_path) -> None:
     file, trail = tmp_path / "file.toml", tmp_path / "audit.json"
     options = [TCP, "--device", file]
     cells = "[[unit.holding_registers]]\naddress = 0\n"

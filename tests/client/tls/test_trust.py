@@ -277,7 +277,7 @@ def test_a_tls_1_2_server_that_closes_behind_our_certificate(
         (b"", "closed by the other side"),
     ],
 )
-def test_what_answers_there_is_named(connect: Connect, pki: Pki, says: bytes, text: str) -> None:
+def test_an_error_names_another_server(connect: Connect, pki: Pki, says: bytes, text: str) -> None:
     with (
         raw(lambda sock: sock.sendall(says if sock.recv(4096) else b"")) as url,
         pytest.raises(ModbusConnectionError, match=text) as caught,

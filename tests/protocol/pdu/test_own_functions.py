@@ -125,7 +125,7 @@ class TestRegister:
                 pdu.register(kind)
 
     @each_case("bad", [None, 65, "Doubled", Doubled((1,)), int, Exception], ids=repr)
-    def test_only_request_classes_are_taken(self, bad: Any) -> None:
+    def test_only_request_classes_are_accepted(self, bad: Any) -> None:
         with pytest.raises(TypeError, match="derived from Request"):
             pdu.register(bad)
 

@@ -453,7 +453,7 @@ def test_serve_exposes_its_metrics(address: str, stop: int) -> None:
         assert (process.wait(), process.stderr.read()) == (0, "")
 
 
-def test_serve_says_when_the_port_of_metrics_is_taken() -> None:
+def test_serve_reports_that_the_port_of_metrics_is_in_use() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         place = f"127.0.0.1:{listener.getsockname()[1]}"
         message = f"libmodbus-py: cannot listen for metrics on {place}: Address already in use\n"

@@ -162,7 +162,7 @@ async def test_a_flood_of_commands_does_not_keep_devices_from_being_asked(to: Li
 
 
 @commanded()
-async def test_workers_follow_whether_commands_are_taken(to: Listener) -> None:
+async def test_workers_follow_whether_commands_are_accepted(to: Listener) -> None:
     for value in (20, 21, 22, 23):
         if value % 2:
             with pytest.raises(nats.errors.TimeoutError):
@@ -278,7 +278,7 @@ async def test_outcomes_are_sent_to_inboxes_only(to: Listener) -> None:
 
 
 @commanded()
-async def test_names_are_taken_in_one_spelling_only(to: Listener) -> None:
+async def test_names_are_accepted_in_one_spelling_only(to: Listener) -> None:
     """A broker that denies modbus.write.d0-1.> does not know that d%30-1 is the same."""
     for subject in (
         "d%30-1.setpoint",

@@ -158,7 +158,7 @@ class TestPort:
         ):
             assert "is open in this program, too" in caplog.text
 
-    def test_a_port_that_goes_and_comes_back(self, port: Line, tmp_path: Path) -> None:
+    def test_a_port_is_opened_again_when_it_comes_back(self, port: Line, tmp_path: Path) -> None:
         link = tmp_path / "port"
         link.symlink_to(port.path)
         with heard(f"rtu://{link}") as hearing:

@@ -241,7 +241,7 @@ def test_a_lost_segment_costs_its_transaction_only(tmp_path: Path) -> None:
     assert sorted(read_of(tmp_path, many)) == sorted([*99 * LINES[:1], unanswered])
 
 
-def test_no_answer_an_exception_a_new_connection_and_a_wrong_unit(tmp_path: Path) -> None:
+def test_a_capture_has_each_kind_of_outcome(tmp_path: Path) -> None:
     refusal, other_unit = (
         bytes.fromhex("0001 0000 0003 01 83 02"),
         ANSWERED[:6] + b"\2" + ANSWERED[7:],

@@ -127,7 +127,7 @@ class LineFile(Output):
             return b""
         try:
             file = open_file(self.path)
-        except OSError:  # it may only be written
+        except OSError:  # this user may only write it
             return b""
         with file:
             if file.read(len(self._form.begin)) != self._form.begin:
