@@ -78,7 +78,7 @@ class BlockingValues(BlockingMany):
             table: "holding_registers" or "input_registers".
             address: the address of the first register.
             type: the type of the value, such as "float32"; see `libmodbus_py.values`.
-            order: ABCD, CDAB, BADC or DCBA.
+            order: the order of the bytes, such as CDAB; see `libmodbus_py.values`.
             encoding, padding: the layout of strings, as for `values.value_type`.
 
         Raises:
@@ -159,7 +159,7 @@ class BlockingValues(BlockingMany):
             address: the address of the first register.
             type: the type of the values, such as "float32"; see `libmodbus_py.values`.
             count: the number of values, 1 or more; they take up to 125 registers.
-            order: ABCD, CDAB, BADC or DCBA.
+            order: the order of the bytes, such as CDAB; see `libmodbus_py.values`.
             encoding, padding: the layout of strings, as for `values.value_type`.
 
         Raises:

@@ -267,7 +267,7 @@ class Interpretation(NamedTuple):
 
     Attributes:
         type: the type, as in the module's docstring.
-        order: ABCD, CDAB, BADC or DCBA.
+        order: one of `Order`.
         value: the value of the registers in this type and order.
     """
 

@@ -144,7 +144,9 @@ def markdown(docstring: str) -> str:
             lines.append(line[6:])
         else:
             lines.append(line.removeprefix(" " * 4) if section else line)
-    return re.sub(r"(?<!`)``(?!`)(.+?)``", r"`\1`", "\n".join(lines)).strip()
+    text = re.sub(r"(?<!`)``(?!`)(.+?)``", r"`\1`", "\n".join(lines)).strip()
+    text = re.sub(r"(?m)^::\n\n", "", text)  # before code, which is indented
+    return re.sub(r"(?ms)^=+ [= ]+\n.*^=+ [= ]+$", r"```text\n\g<0>\n```", text)
 
 
 def text_of(node: ast.AST) -> str:
@@ -268,6 +270,8 @@ def field_of(member: ast.stmt) -> dict[str, str]:
     """Return the parameter of a dataclass that a statement of its body makes."""
     if not isinstance(member, ast.AnnAssign) or not isinstance(member.target, ast.Name):
         return {}
+    if member.target.id.startswith("_"):
+        return {}
     kind, value = annotation(member.annotation), member.value
     if kind.startswith("ClassVar") or "ClassVar" in ast.unparse(member.annotation):
         return {}
@@ -277,7 +281,9 @@ def field_of(member: ast.stmt) -> dict[str, str]:
         if "init" in options and not ast.literal_eval(options["init"]):
             return {}
         factory = options.get("default_factory")
-        default = f" = {text_of(factory)}()" if factory else ""
+        made = factory.body if isinstance(factory, ast.Lambda) else factory
+        called = "" if made is not factory else "()"
+        default = f" = {text_of(made)}{called}" if made else ""
         default = f" = {text_of(options['default'])}" if "default" in options else default
     return {member.target.id: f"{member.target.id}: {kind}{default}"}
 

@@ -60,7 +60,7 @@ class DeviceConfig:
             reported.
         at_least: seconds within which each point is reported again though its value, or its error,
             is the same, 0.01..86400; None for no such time.
-        labels: labels of the metrics of the device.
+        labels: labels of the device, in its readings and metrics.
         zone: the zone of the device; workers poll the devices of their zones only. Empty for none.
 
     Attributes:

@@ -52,9 +52,8 @@ class Listener:
         capture_error: the error after which the capture is not written any more; None while it is
             written. Listening goes on without the capture, and one warning is logged.
 
-    Raises, while iterating:
-        CaptureError: the capture that is read is invalid, or ends inside a block.
-        RuntimeError: another thread or task is iterating.
+    Iteration raises CaptureError if the capture that is read is invalid, or ends inside a block;
+    RuntimeError if another thread or task is iterating.
     """
 
     def __init__(
