@@ -31,8 +31,8 @@ def load(path: str | PathLike[str]) -> RegisterMap | Simulation | GatewayFile | 
     Load a register map, or a device, gateway or fleet file. The contents decide which it is.
 
     Args:
-        path: the path of the file. A register map in CSV has a name that ends with ``.csv``,
-            ``.tsv`` or ``.txt``; other files are TOML.
+        path: the path of the file. A name that ends with ``.csv``, ``.tsv``, ``.txt``, ``.md`` or
+            ``.xlsx`` is that of a register map; other files are TOML.
 
     Returns:
         What the file describes: a `RegisterMap`; a `Simulation`, whose `devices` a
@@ -44,7 +44,7 @@ def load(path: str | PathLike[str]) -> RegisterMap | Simulation | GatewayFile | 
     """
     place = FilePlace(fspath(path))
     kinds = {"map"}
-    if PurePath(path).suffix.lower() not in (".csv", ".tsv", ".txt"):
+    if PurePath(path).suffix.lower() not in (".csv", ".tsv", ".txt", ".md", ".xlsx"):
         text = read_text(path, FileError)
         try:
             content = read_toml(text)

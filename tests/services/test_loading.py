@@ -31,10 +31,11 @@ def test_a_file_is_what_it_contains(name: str, kind: type, monkeypatch: pytest.M
     assert isinstance(load(EXAMPLES / name), kind)
 
 
-def test_a_map_in_toml_is_a_map(tmp_path: Path) -> None:
-    path = tmp_path / "map.toml"
-    path.write_text('[[point]]\nname = "a"\ntable = "coils"\naddress = 1\n')
-    assert list(load(path)) == ["a"]
+def test_a_map_in_toml_or_markdown_is_a_map(tmp_path: Path) -> None:
+    toml, markdown = tmp_path / "map.toml", tmp_path / "map.md"
+    toml.write_text('[[point]]\nname = "a"\ntable = "coils"\naddress = 1\n')
+    markdown.write_text("| name | table | address |\n|---|---|---|\n| a | coils | 1 |\n")
+    assert list(load(toml)) == list(load(markdown)) == ["a"]
 
 
 @each_case(
