@@ -58,12 +58,8 @@ TCP: dict[str, Came | None] = {
 }
 
 
-def refused(code: int) -> Came:
-    return lambda request: mbap(request, bytes([0x83, code]))
-
-
-REFUSED = {
-    f"{name} (exception {code})": refused(code)
+REFUSED: dict[str, Came] = {
+    f"{name} (exception {code})": lambda request, code=code: mbap(request, bytes([0x83, code]))
     for name, code in {
         "illegal function": 1,
         "illegal data address": 2,
