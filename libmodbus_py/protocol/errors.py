@@ -45,6 +45,9 @@ class _Transaction(TypedDict, total=False):
 MAX_RECEIVED = 600
 """The most received bytes that an error keeps: more than the longest frame of any line has."""
 
+_SYSTEM_ATTRIBUTES = ("errno", "strerror", "filename", "filename2")
+"""The attributes of OSError."""
+
 
 def in_hex(data: bytes, most: int = 32) -> str:
     """Return the first bytes in hexadecimal, and their number if these are not all."""
@@ -88,6 +91,18 @@ class ModbusError(Exception):
             if name not in _Transaction.__annotations__:
                 text = f"{type(self).__name__}() has no argument {name!r}"
                 raise TypeError(f"{text}; it has {', '.join(_Transaction.__annotations__)}")
+            setattr(self, name, value)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # OSError keeps these outside of __dict__, and would lose them in a copy. None is left out:
+        # it is printed where it was set.
+        state = {name: getattr(self, name, None) for name in _SYSTEM_ATTRIBUTES}
+        known = {name: value for name, value in state.items() if value is not None}
+        return type(self), self.args, {**vars(self), **known}
+
+    def __setstate__(self, state: dict[str, Any] | None) -> None:
+        # As CPython does. PyPy would put errno into __dict__, where nothing reads it.
+        for name, value in (state or {}).items():
             setattr(self, name, value)
 
     @property
@@ -244,15 +259,6 @@ class ModbusConnectionError(ModbusError, ConnectionError):
         super().__init__(reason, **transaction)
         self.errno = errno
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        # OSError keeps errno outside of __dict__, and would lose it in a copy.
-        return type(self), self.args, {**vars(self), "errno": self.errno}
-
-    def __setstate__(self, state: dict[str, Any] | None) -> None:
-        # As CPython does. PyPy would put errno into __dict__, where nothing reads it.
-        for name, value in (state or {}).items():
-            setattr(self, name, value)
-
 
 Error = TypeVar("Error", bound=ModbusError)
 
@@ -261,4 +267,5 @@ def alike(error: Error) -> Error:
     """Return a copy of an error that concerns several requests: each request completes its own."""
     twin = copy.copy(error)
     twin.__cause__ = error.__cause__
+    twin.__suppress_context__ = error.__suppress_context__  # which the line above sets
     return twin

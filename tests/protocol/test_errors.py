@@ -86,15 +86,16 @@ def test_the_first_600_bytes_are_kept_whoever_sets_them(kind: type[ModbusError])
 
 
 @each_case("kind", KINDS)
+@each_case("number", [None, 0, 5])
 @each_case(
     "double", [copy.copy, copy.deepcopy, alike, lambda each: pickle.loads(pickle.dumps(each))]
 )
-def test_copies_keep_every_attribute(kind: Any, double: Callable[[Any], Any]) -> None:
-    error = kind("x", **TOLD, **({"errno": 5} if kind is ModbusConnectionError else {}))
-    assert repr(double(error)) == repr(error)
-    assert {name: getattr(double(error), name) for name in TOLD} == TOLD
-    assert vars(double(error)) == vars(error)
-    for name in ("args", "errno", "strerror", "filename"):
+def test_copies_keep_every_attribute(kind: Any, number: Any, double: Callable[[Any], Any]) -> None:
+    error = kind("x", **TOLD)
+    if isinstance(error, OSError) and number is not None:
+        error.errno, error.strerror, error.filename, error.filename2 = number, "text", "a", "b"
+    assert (repr(double(error)), vars(double(error))) == (repr(error), vars(error))
+    for name in ("args", "errno", "strerror", "filename", "filename2", "__suppress_context__"):
         assert getattr(double(error), name, None) == getattr(error, name, None)
 
 
