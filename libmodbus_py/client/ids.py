@@ -65,6 +65,9 @@ class Ids(Matching):
         self._is_datagram = endpoint.framing == "udp"
         self._last = first_id()
         self._answered_at = 0.0
+        self._abandoned: dict[int, None] = {}
+        # Those that the connection before left without an answer: a gateway may answer them here.
+        self._owed: frozenset[int] = frozenset()
         # The units that answered, where they are not those that were asked.
         self._answerers: WeakKeyDictionary[Call, int] = WeakKeyDictionary()
         self.reset(0.0)
@@ -129,8 +132,8 @@ class Ids(Matching):
         one answer behind until there is a new connection.
         """
         self._statistics.late_answers += 1
-        if number in self._abandoned:
-            del self._abandoned[number]
+        if number in self._abandoned or number in self._owed:
+            self._abandoned.pop(number, None)
             self._is_late = True
         else:
             self._keep_stray(adu)
@@ -209,9 +212,10 @@ class Ids(Matching):
 
     def reset(self, now: float) -> list[Call]:
         calls = list(self.pending.values())
+        self._owed = frozenset((*self.pending, *self._abandoned)) or self._owed
         self._framer: TcpFramer = (UdpFramer if self._is_datagram else TcpFramer)("client")
         self._begin_again(self._framer.rest)
-        self._abandoned: dict[int, None] = {}
+        self._abandoned.clear()
         self._strays = b""
         self._is_late = False  # an answer to an earlier request came
         return calls
