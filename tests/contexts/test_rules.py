@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -25,6 +26,7 @@ from libmodbus_py import (
     TcpContext,
 )
 from libmodbus_py.low_level import lib, loaded_version
+from libmodbus_py.ports.endpoint import parse
 from tests.support.cases import each_case
 from tests.support.contexts import context_at
 from tests.support.peers import OnRequest, TcpPeer, Write, answer, ignore, mute_port, peer_at, until
@@ -205,10 +207,13 @@ def test_a_port_in_use_is_refused() -> None:
         context_at(peer.url).connect()
 
 
-def test_an_unplugged_adapter_is_an_error_until_it_is_back() -> None:
+def test_an_unplugged_adapter_is_an_error_until_it_is_back(tmp_path: Path) -> None:
+    link = tmp_path / "port"
     with peer_at("rtu", on_read_at("rtu")) as peer:
-        context = context_at(peer.url, timeout=1.0)
+        link.symlink_to(parse(peer.url).path)
+        context = context_at(f"rtu://{link}", timeout=1.0)
         assert context.read_holding_registers(1, 1) == [1]
+        link.unlink()  # first, as the number of a pseudo-terminal is given again at once
     for _ in range(2):
         with pytest.raises(ModbusConnectionError):
             context.read_holding_registers(1, 1)

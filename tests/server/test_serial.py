@@ -105,8 +105,8 @@ def test_an_unplugged_port_is_opened_again(device: Device, tmp_path, monkeypatch
         with Server({17: device}).background(f"rtu://{path}"):
             with Client(f"rtu://{first.client}", unit=17, timeout=0.5) as context:
                 assert context.read_holding_registers(100, 1) == [1000]
+            path.unlink()  # first, as the number of a pseudo-terminal is given again at once
             first.unplug()
-            path.unlink()
             path.symlink_to(second.server)
             with Client(f"rtu://{second.client}", unit=17, timeout=0.1) as context:
                 until(lambda: is_answered(context))
