@@ -125,18 +125,20 @@ class RtuCutter:
         Return the PDU of the first response of a unit and function, whatever is around it.
 
         None if there is none; empty if one has begun that may still be completed, unless no more
-        bytes are waited for (`is_over`).
+        bytes are waited for (`is_over`). One that ends with the data counts, too, if it has another
+        length than its function, and none has that.
         """
+        odd = None
         for at in range(len(data) - 1):
             if data[at] == unit and data[at + 1] & 0x7F == function:
                 end = self._responses.at(data, at, at, SILENT)
                 if end > 0:
                     return data[at + 1 : end - 2]
                 if end == UNFINISHED and not is_over:
-                    return b""
-                if is_one_adu(data[at:]):  # of another length than the function has
-                    return data[at + 1 : -2]
-        return None
+                    return odd or b""
+                if odd is None and is_one_adu(data[at:]):
+                    odd = data[at + 1 : -2]
+        return odd
 
     def is_one_frame(self, data: bytes) -> bool:
         """Return True if the data are one frame that is answered or awaited here, as most are."""
