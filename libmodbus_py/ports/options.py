@@ -312,8 +312,9 @@ class ConnectionOptions(TypedDict, total=False):
     ids: Annotated[
         Literal["check", "ignore"],
         'the transaction ids of responses: "check", or "ignore" to accept any. For devices '
-        "that answer with wrong ones. Only with one request in flight; after a request without "
-        "an answer a new connection is made, so that a late answer is not taken for another.",
+        "that answer with wrong ones, and no request twice. Only with one request in flight; after "
+        "a request without an answer a new connection is made, so that a late answer is not taken "
+        "for another.",
         _text("WHICH").option("check", one_of("check", "ignore")),
     ]
     write_function: Annotated[
