@@ -1,7 +1,7 @@
 """
 Change one place of the package at a time, and see whether a test fails.
 
-    ./run python -m fuzz.mutants FOLDER [FOLDER ...] [--sample N] [--seed S]
+    ./run mutants FOLDER [FOLDER ...] [--sample N] [--seed S]
 
 cosmic-ray makes the mutants and runs their tests; here places are drawn, with one mutant for each,
 and tests are chosen. The tests of the folders of the same name, or of those behind `--tests`, run
@@ -175,7 +175,7 @@ def try_mutant(mutation: MutationSpec, tests: list[str], seconds: float) -> Work
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="fuzz.mutants", description=__doc__.split("\n\n")[0])
+    parser = argparse.ArgumentParser(prog="./run mutants", description=__doc__.split("\n\n")[0])
     add = parser.add_argument
     add("folders", metavar="FOLDER", nargs="+", help="of the package, or a file")
     add("--sample", type=int, default=200, metavar="N", help="mutants at most (200)")

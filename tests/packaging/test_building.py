@@ -165,7 +165,7 @@ def test_musl_compiles_all_c(tmp_path: Path, source: str) -> None:
 
 
 # Of those who work on this package.
-NOT_FOR_USERS = {"test", "docs", "lint", "bench", "fuzz", "wheel"}
+NOT_FOR_USERS = {"test", "docs", "lint", "bench", "fuzz", "mutants", "wheel"}
 
 
 def test_the_table_is_that_of_the_project() -> None:
