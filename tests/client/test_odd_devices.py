@@ -4,7 +4,14 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import InvalidResponse, ModbusConnectionError, ModbusTimeoutError, State, pdu
+from libmodbus_py import (
+    Client,
+    InvalidResponse,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    State,
+    pdu,
+)
 from tests.support.clients import World, read
 from tests.support.driver import rtu
 from tests.support.peers import Write, answer, ignore, mbap
@@ -80,6 +87,19 @@ def test_no_late_answer_is_accepted_with_ids_ignore(world: World, scheme: str) -
             except ModbusTimeoutError:
                 values.append(None)
     assert values == [None, True, True] * 4
+
+
+def test_no_source_has_a_port_with_ids_ignore_over_udp() -> None:
+    """A late answer would reach the next socket, which has the same port."""
+    source = "127.0.0.1:40000"
+    with pytest.raises(ValueError, match='source must have no port with ids="ignore" on udp'):
+        Client(f"udp://127.0.0.1?source={source}", ids="ignore")
+    for url, options in {
+        "udp://127.0.0.1": {"source": "127.0.0.1", "ids": "ignore"},
+        "udp://127.0.0.2": {"source": source},
+        "tcp://127.0.0.1": {"source": source, "ids": "ignore"},  # a reset ends the connection
+    }.items():
+        Client(url, **options).close()  # type: ignore[arg-type]
 
 
 def closing(after: float, scheme: str) -> Any:
