@@ -417,6 +417,10 @@ class Matching(ABC):
     def expire(self, now: float) -> list[Call]:
         """Return the requests whose time is over, with their errors, or whose HOLD is."""
 
+    def end(self, now: float) -> list[Call]:
+        """Return the requests that are answered because the other side ends the connection."""
+        return []
+
     @abstractmethod
     def withdraw(self, call: Call, now: float) -> bool:
         """Expect only a late answer to a request; return True if it was in flight."""

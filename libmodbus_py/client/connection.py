@@ -287,6 +287,11 @@ class Transactions:
 
     def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool = True) -> None:
         """Note the end of the connection: requests in flight fail, others wait for a new one."""
+        if by_itself and error.errno in CLOSED:
+            calls = self.matching.end(now)
+            self.in_flight -= len(calls)
+            self._answered += calls
+            self.settle(now)
         was_answered = self.statistics.last_success is not None
         if by_itself and self.life.fruitless and self.in_flight and not was_answered:
             add_hint(error, explain_end(self._scheme, error.errno))

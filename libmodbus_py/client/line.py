@@ -32,6 +32,7 @@ this pair, and the other states are those of the line.
                                                    DOUBT, or if the request itself led to it and
                                                    is repeated; else the request fails. DOUBT ends
                                                    if silence follows
+    HOLD    the other side ends the connection     the same
     DOUBT   a late frame of its unit; while IDLE,  the silence counts anew
             bytes that may be the beginning of one
     DOUBT   ten timeouts of silence                no DOUBT
@@ -413,9 +414,7 @@ class Line(Matching):
             self.wake(call.deadline if answer is None else min(self._held_until, call.deadline))
         else:
             pair = self._pair(call, now)
-            if answer is not None and (not pair.is_doubted or pair.owed is call):
-                self._believe(call, answer, self._held_at, now)
-            else:
+            if not self._end_hold(call, now):
                 error = self._wrong or no_answer(
                     call.timeouts.timeout, bytes(self._received), is_held=answer is not None
                 )
@@ -425,6 +424,20 @@ class Line(Matching):
             if pair.is_doubted:
                 pair.heard(now)
                 pair.is_answered = answer is not None
+        calls, self._ended = self._ended, []
+        return calls
+
+    def _end_hold(self, call: Call, now: float) -> bool:
+        """Take the answer on HOLD, because no other one comes in time, if that is not doubted."""
+        pair = self._pair(call, now)
+        if self._held is None or (pair.is_doubted and pair.owed is not call):
+            return False
+        self._believe(call, self._held, self._held_at, now)
+        return True
+
+    def end(self, now: float) -> list[Call]:
+        if self._call is not None and len(self._framer.rest) <= MAX_NOISE:
+            self._end_hold(self._call, now)
         calls, self._ended = self._ended, []
         return calls
 
@@ -460,13 +473,14 @@ class Line(Matching):
     def reset(self, now: float) -> list[Call]:
         # Doubts remain: the units are not on this side of the connection.
         call, self._call = self._call, None
+        answer, self._held = self._held, None
         self._ended.clear()  # left by a Ctrl-C
         self._framer = self._make_framer()
         self._begin_again(self.rest)
         self._echo.reset()
-        self._held = None
         if call is not None:
             self._doubt(call, now)
+            self._pair(call, now).is_answered = answer is not None
         self._history = history_of(self._endpoint)
         self._is_unknown = not self._history.units
         self._opened_at, self._is_opened = now, True

@@ -7,6 +7,7 @@ in `ports.options`.
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
+from ..ports.hosts import split_host_and_port
 from ..ports.options import (
     SERIAL_OPTIONS,
     ConnectionOptions,
@@ -117,6 +118,13 @@ def checked_options(
             raise ValueError(f'ids must be "check" {where}')
     elif settings["ids"] == "ignore" and settings["max_in_flight"] != 1:
         raise ValueError('max_in_flight must be 1 with ids="ignore"')
+    elif (
+        settings["ids"] == "ignore"
+        and endpoint.is_datagram
+        and settings["source"]
+        and split_host_and_port(settings["source"])[1]
+    ):  # a late answer would come to the next socket, which has the same port
+        raise ValueError('source must have no port with ids="ignore" on udp')
     return cast("AsyncOptions", settings)
 
 

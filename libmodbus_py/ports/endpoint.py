@@ -50,7 +50,7 @@ OTHER_SCHEMES: dict[str, Scheme] = {
     **dict.fromkeys(("tcpascii", "asciitcp", "asciiovertcp"), "ascii+tcp"),
     **dict.fromkeys(("modbusudp", "mbudp"), "udp"),
     **dict.fromkeys(("udprtu", "rtuudp", "rtuoverudp"), "rtu+udp"),
-    **dict.fromkeys(("tcptls", "modbustls", "modbuss", "mbaps"), "tls"),
+    **dict.fromkeys(("tcptls", "tlstcp", "tcps", "ssl", "modbustls", "modbuss", "mbaps"), "tls"),
     **dict.fromkeys(("serial", "file", "tty", "modbusrtu", "rtuserial"), "rtu"),
     "modbusascii": "ascii",
 }

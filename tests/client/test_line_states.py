@@ -450,6 +450,32 @@ def test_a_connection_that_ends_in_hold_fails_what_is_held() -> None:
     assert driver.is_at_rest
 
 
+def test_hold_without_doubt_and_the_other_side_ends_the_connection() -> None:
+    driver = Driver(LINE, timeout=1, is_new=True)
+    for number in range(5, 8):
+        batch = driver.ask(number)
+        driver.come(value(number))
+        assert not batch.is_done
+        driver.reconnect()
+        assert batch.outcomes == [[number]]
+    batch = driver.ask(8)
+    driver.come(value(8) + value(9)[:5])
+    driver.reconnect()
+    assert kinds(batch) == [ModbusConnectionError]
+
+
+def test_the_end_of_a_connection_in_hold_ends_the_doubt_if_silence_follows() -> None:
+    driver = in_doubt()
+    batches = []
+    for number in (6, 7):
+        batches.append(driver.ask(number))
+        driver.wait(0.5)
+        driver.come(value(number))
+        driver.reconnect()
+    assert kinds(batches[0]) == [ModbusConnectionError]
+    assert batches[1].outcomes == [[7]]
+
+
 def test_a_caller_that_leaves_in_hold_leaves_doubt() -> None:
     driver = in_doubt()
     batch = driver.ask(6)

@@ -4,7 +4,14 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import InvalidResponse, ModbusConnectionError, ModbusTimeoutError, State, pdu
+from libmodbus_py import (
+    Client,
+    InvalidResponse,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    State,
+    pdu,
+)
 from tests.support.clients import World, read
 from tests.support.driver import rtu
 from tests.support.peers import Write, answer, ignore, mbap
@@ -82,20 +89,36 @@ def test_no_late_answer_is_accepted_with_ids_ignore(world: World, scheme: str) -
     assert values == [None, True, True] * 4
 
 
-def closing(after: float) -> Any:
+def test_no_source_has_a_port_with_ids_ignore_over_udp() -> None:
+    """A late answer would reach the next socket, which has the same port."""
+    source = "127.0.0.1:40000"
+    with pytest.raises(ValueError, match='source must have no port with ids="ignore" on udp'):
+        Client(f"udp://127.0.0.1?source={source}", ids="ignore")
+    for url, options in {
+        "udp://127.0.0.1": {"source": "127.0.0.1", "ids": "ignore"},
+        "udp://127.0.0.2": {"source": source},
+        "tcp://127.0.0.1": {"source": source, "ids": "ignore"},  # a reset ends the connection
+    }.items():
+        Client(url, **options).close()  # type: ignore[arg-type]
+
+
+def closing(after: float, scheme: str) -> Any:
     """Return what answers each read, and closes the connection so many seconds later."""
 
     def on_request(request: bytes, write: Write) -> None:
-        write(answer(request, "tcp"))
+        write(answer(request, scheme))
         write(None, after=after)
 
     return on_request
 
 
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])
 @pytest.mark.parametrize("after", [0.0, 0.0001, 0.05])
-def test_a_device_that_closes_after_each_answer_is_read_without_retries(world: World, after):
-    """The close comes when the next request is under way, and when none is."""
-    peer = world.peer("tcp", closing(after))
+def test_a_device_that_closes_after_each_answer_is_read_without_retries(
+    world: World, scheme: str, after: float
+) -> None:
+    """The close comes when the next request is under way, when none is, and during HOLD."""
+    peer = world.peer(scheme, closing(after, scheme))
     with world.connect(peer.url, timeout=1) as plc:
         for at in range(30):
             assert read(plc, at) == at
