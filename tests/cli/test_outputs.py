@@ -155,7 +155,7 @@ def lines_of(command: str, url: str, folder: Path) -> list[str]:
         ("gateway", ["tcp://127.0.0.1:0", "--to", "7=URL"]),
     ],
 )
-def test_a_server_announces_itself(name, arguments, url: str, tmp_path, golden: Golden) -> None:
+def test_a_server_prints_its_url(name, arguments, url: str, tmp_path, golden: Golden) -> None:
     device = tmp_path / "device.toml"
     device.write_text("".join(f"[[unit]]\nid = {unit}\n" for unit in (7, 8)))
     to = url.partition("?")[0]

@@ -84,7 +84,7 @@ def test_a_password_comes_from_the_environment(url: str, pki: Pki) -> None:
     assert "sesame" not in text
 
 
-def test_no_prompt_for_a_password(pki: Pki) -> None:
+def test_a_command_without_a_terminal_asks_for_no_password(pki: Pki) -> None:
     """OpenSSL would ask the terminal."""
     files = pki.files(certificates.client(), SECRET.encode())
     master, slave = pty.openpty()
