@@ -101,7 +101,7 @@ def test_tcp_error_and_next_request_succeeds(world: World, name: str) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "tls", "udp", "unix"])
-def test_a_response_whose_header_is_one_too_large_is_accepted(world: World, scheme) -> None:
+def test_a_response_whose_header_counts_one_byte_too_many_is_accepted(world: World, scheme) -> None:
     """wlcrs/tmodbus#146: exceptions of 9 bytes whose header says 4 in place of 3."""
     refusal, response = tcp(b"\x83\x02", length=4), tcp(GOOD, length=len(GOOD) + 2)
     peer = world.peer(scheme, answering(refusal, refusal, response, response))
@@ -114,7 +114,7 @@ def test_a_response_whose_header_is_one_too_large_is_accepted(world: World, sche
     assert peer.connections <= 1
 
 
-def test_the_byte_behind_an_exception_is_dropped(world: World) -> None:
+def test_a_byte_after_an_exception_response_is_dropped(world: World) -> None:
     def refuse(request: bytes, write: Write) -> None:
         write(mbap(request, b"\x83\x02", length=4))
         write(b"\0", after=0.1)
@@ -130,7 +130,7 @@ def test_the_byte_behind_an_exception_is_dropped(world: World) -> None:
     assert peer.connections == 1
 
 
-def test_a_write_whose_echo_has_a_byte_more_was_carried_out(world: World) -> None:
+def test_a_write_whose_echo_has_one_byte_too_many_was_carried_out(world: World) -> None:
     """IndustrialShields/arduino-Tools40#7: function 6 is answered with a stray byte, counted."""
     peer = world.peer("tcp", answering(lambda request: [mbap(request, request[7:] + b"\6")]))
     with world.connect(peer.url) as context:
@@ -288,7 +288,7 @@ def test_noise_before_each_answer_on_a_line_is_dropped(stray, pause, world: Worl
         assert [read(client, address) for address in range(40)] == list(range(40))
 
 
-def test_a_late_answer_during_a_request_does_not_fail_it(world: World) -> None:
+def test_a_late_answer_during_a_request_does_not_fail_the_request(world: World) -> None:
     """It comes while the second request after the one that was given up waits."""
     owed = b""
 
@@ -330,7 +330,7 @@ def test_a_device_that_is_unit_255_is_reached_with_an_option(world: World) -> No
             assert [read(client, address) for address in range(5)] == list(range(5))
 
 
-def test_what_came_meanwhile_is_no_answer_to_the_next_request(world: World) -> None:
+def test_frames_that_came_between_two_requests_answer_neither(world: World) -> None:
     """A program that was busy reads what nobody asked for before it asks."""
 
     def twice(request: bytes, write: Write) -> None:

@@ -75,7 +75,7 @@ def warm() -> Driver:
     return driver
 
 
-def test_what_several_registers_have_in_common_is_believed() -> None:
+def test_equal_values_of_several_registers_are_accepted_after_the_first_time() -> None:
     """Each is held the first time only."""
     driver = warm()
     for addresses in ((50, 51, 52), (50, 51, 52)):
@@ -84,7 +84,7 @@ def test_what_several_registers_have_in_common_is_believed() -> None:
     exchange(driver, 50, 0, after=0.01)
 
 
-def test_an_answer_that_is_doubted_behind_an_echo_is_not_taken_for_damage() -> None:
+def test_an_answer_held_after_an_echo_is_not_taken_for_damage() -> None:
     """The echo of a write is not a frame of an answer, but it begins as its answer does."""
     write = pdu.WriteRegisters(1, [1, 2])
     driver = Driver(LINE, timeout=1)
@@ -107,7 +107,7 @@ def test_answers_of_a_unit_that_became_faster_are_held_once() -> None:
         assert batch.outcomes == [[number]]
 
 
-def test_answers_that_vary_in_time_are_believed_at_once() -> None:
+def test_answers_of_varying_times_are_accepted_at_once() -> None:
     """As on a network, where the time of one says little of the next."""
     driver, chance, count = Driver(LINE, timeout=1), random.Random(1), 0
     for number in range(1, 2000):

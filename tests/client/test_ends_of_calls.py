@@ -119,7 +119,7 @@ def strike_each_moment(
 
 @RAISED
 @TRANSPORTS
-def test_nothing_is_sent_of_a_call_that_a_context_was_thrown_out_of(
+def test_no_request_of_a_call_is_sent_after_an_exception_ended_the_call(
     scheme: str, error: BaseException
 ) -> None:
     with making("blocking") as world:
@@ -166,7 +166,7 @@ class Leaving:
 
 @pytest.mark.parametrize("hook", ["trace", "on_state", "may_send", "on_done", "decode_response"])
 @TRANSPORTS
-def test_no_caller_waits_for_a_client_whose_hook_ends_the_program(scheme: str, hook: str) -> None:
+def test_all_callers_return_when_a_callback_ends_the_program(scheme: str, hook: str) -> None:
     """Three callers at once; the program goes on after SystemExit, and every caller is told."""
     network = Network()
     peer = Scripted(network, url_for(scheme, line="/dev/line?baudrate=115200"), replying(scheme))
@@ -221,7 +221,7 @@ def writes(first: int) -> list[pdu.WriteRegister]:
     return [pdu.WriteRegister(first + at, 1) for at in range(5)]
 
 
-def test_nothing_is_sent_of_many_requests_that_a_context_was_thrown_out_of() -> None:
+def test_none_of_many_requests_is_sent_after_an_exception_ended_their_call() -> None:
     error, number, is_struck = MemoryError(), 0, True
     with making("blocking") as world:
         peer = world.peer("tcp", replying("tcp"))

@@ -115,7 +115,7 @@ def test_libmodbus_server_in_c(connect: Connect, tmp_path: Path) -> None:
     assert results == [list(range(1100 + at % 100, 1225 + at % 100)) for at in range(800)]
 
 
-def test_nothing_to_ask_needs_no_connection(connect: Connect) -> None:
+def test_an_empty_list_of_requests_needs_no_connection(connect: Connect) -> None:
     context = connect("tcp://127.0.0.1:1")
     assert context.execute_many([]) == []
     assert context.read_many({}) == {}
@@ -129,7 +129,7 @@ def test_nothing_to_ask_needs_no_connection(connect: Connect) -> None:
         ([pdu.ReadCoils], {}, TypeError, r"requests\[0\] must be a request object of pdu"),
     ],
 )
-def test_nothing_is_sent_for_bad_arguments(world: World, requests, options, kind, message) -> None:
+def test_bad_arguments_cause_no_frame(world: World, requests, options, kind, message) -> None:
     peer = world.peer("tcp", on_read)
     with world.connect(peer.url, max_in_flight=16) as context:
         with pytest.raises(kind, match=message):
@@ -169,7 +169,7 @@ def test_request_without_an_answer_times_out_alone(world: World) -> None:
 
 
 @pytest.mark.parametrize("again", ["one", "many"])
-def test_requests_left_behind_by_a_failure_poison_nothing(world: World, again: str) -> None:
+def test_requests_left_after_a_failure_do_not_affect_later_ones(world: World, again: str) -> None:
     """The first is refused; the other fifteen are answered when something else is asked."""
     late: list[bytes] = []
 
@@ -225,7 +225,7 @@ def test_first_failure_in_the_order_of_requests_is_raised_at_once(world: World) 
 
 
 @BY_ID
-def test_wrong_answers_spoil_their_own_requests_only(world: World, scheme: str) -> None:
+def test_wrong_answers_fail_their_own_requests_only(world: World, scheme: str) -> None:
     def play(request: bytes, write: Write) -> None:
         answers = {
             3: mbap(request, b"\x04\x02" + request[8:10]),

@@ -97,7 +97,7 @@ def pouring(scheme: str, data: bytes) -> Iterator[str]:
 @pytest.mark.parametrize(
     ("scheme", "data"), [("tcp", STRANGE * 4096), ("udp", STRANGE), ("rtu+tcp", NOISE * 32)]
 )
-def test_a_flood_that_leaves_no_pause_ends(scheme: str, data: bytes, kind: str) -> None:
+def test_a_flood_without_pauses_ends_with_the_timeout(scheme: str, data: bytes, kind: str) -> None:
     """There is always more to be read: only the clock ends the wait."""
     with pouring(scheme, data) as url, asking(kind, url, timeout=0.1) as client:
         error = failure(lambda: read(client, 1))
@@ -106,7 +106,7 @@ def test_a_flood_that_leaves_no_pause_ends(scheme: str, data: bytes, kind: str) 
 
 @pytest.mark.parametrize("scheme", ["rtu", "ascii"])
 @pytest.mark.parametrize("pause", [0.001, 0.02])
-def test_a_line_that_is_never_quiet_ends_the_wait(pause: float, scheme: str, world: World) -> None:
+def test_a_line_that_is_never_silent_ends_the_wait_in_time(pause: float, scheme: str, world: World):
     """From the first request on, and while it waits for the silence that must come before."""
     noise = b"0123456789ABCDEF" if scheme == "ascii" else bytes(range(0x80, 0x90))
     with world.client_of(scheme, flooding(world.network, noise, pause), timeout=0.2) as client:
@@ -127,7 +127,7 @@ def test_a_line_that_is_never_quiet_ends_the_wait(pause: float, scheme: str, wor
         ("rtu", bytes(range(0x80, 0x90)) * 16, 0.03),
     ],
 )
-def test_an_idle_client_leaves_a_flood_unread(scheme, data, pause, monkeypatch) -> None:
+def test_an_idle_client_leaves_a_flood_in_the_system(scheme, data, pause, monkeypatch) -> None:
     """An event loop that is told of each byte would do nothing else."""
     with (
         making("asyncio") as world,

@@ -40,7 +40,7 @@ def connecting_here(kind: str) -> Iterator[Connect]:
 @pytest.mark.parametrize(
     ("kind", "error"), [("blocking", Interruption), ("asyncio", ModbusConnectionError)]
 )
-def test_an_error_while_connecting_leaves_a_client_that_can(kind, error, monkeypatch):
+def test_a_client_can_be_used_after_an_error_while_connecting(kind, error, monkeypatch):
     def interrupt(*_: object) -> None:
         raise Interruption
 
@@ -237,7 +237,7 @@ class Interrupted:
         return self._method(*arguments, **options)
 
 
-def test_the_connection_is_left_by_the_next_request(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_request_after_an_interruption_uses_a_new_connection(monkeypatch: pytest.MonkeyPatch):
     with TcpPeer(on_read) as peer, Client(peer.url) as context:
         assert context.read_holding_registers(6, 1) == [6]
         driver = context._driver
@@ -250,7 +250,7 @@ def test_the_connection_is_left_by_the_next_request(monkeypatch: pytest.MonkeyPa
         assert context.statistics.connects == 2
 
 
-def test_a_client_that_was_closed_meanwhile_is_closed_by_the_next_request(monkeypatch) -> None:
+def test_a_client_closed_during_an_interruption_is_closed_by_the_next_request(monkeypatch) -> None:
     with TcpPeer(on_read) as peer:
         context = Client(peer.url)
         assert context.read_holding_registers(6, 1) == [6]

@@ -113,7 +113,7 @@ def repeating() -> Driver:
     return driver
 
 
-def test_asked_and_an_answer_equal_to_the_last_one_to_another_is_held_where_one_came_twice():
+def test_asked_and_an_answer_equal_to_that_of_another_request_is_held_where_one_came_twice():
     for driver, is_held in ((used(), False), (repeating(), True)):
         for number in range(20, 60):
             usual(driver, number)
@@ -183,7 +183,7 @@ def test_asked_and_a_failure_leads_to_doubt(data: bytes) -> None:
     hold(driver, batch, 6)
 
 
-def test_asked_and_a_caller_that_left_leads_to_doubt() -> None:
+def test_asked_and_a_cancelled_caller_leads_to_doubt() -> None:
     driver = used()
     driver.cancel(driver.ask(5))
     left_at = driver.now
@@ -195,7 +195,7 @@ def test_asked_and_a_caller_that_left_leads_to_doubt() -> None:
 
 @pytest.mark.parametrize("is_held", [False, True])
 @pytest.mark.parametrize("frame", [value(7, unit=2), rtu("01 04 02 0007")])
-def test_a_frame_of_another_does_not_end_the_wait(frame: bytes, is_held: bool) -> None:
+def test_asked_and_a_frame_of_another_unit_keeps_the_wait(frame: bytes, is_held: bool) -> None:
     driver = in_doubt() if is_held else used()
     batch = driver.ask(5)
     driver.wait(0.01)
@@ -243,7 +243,7 @@ def test_hold_and_another_frame_fails_the_request_and_leads_to_doubt(frame: byte
 
 
 @pytest.mark.parametrize("noise", [b"\1\3\xff", b"\1\3\3\0"])
-def test_hold_and_noise_like_the_beginning_of_an_answer_is_no_other_answer(noise: bytes) -> None:
+def test_hold_and_noise_like_an_answer_does_not_fail_the_request(noise: bytes) -> None:
     driver = in_doubt()
     batch = driver.ask(6)
     driver.wait(0.01)
@@ -252,7 +252,7 @@ def test_hold_and_noise_like_the_beginning_of_an_answer_is_no_other_answer(noise
     assert batch.outcomes == [[6]]
 
 
-def test_an_answer_behind_noise_like_its_beginning_is_held_from_when_it_came() -> None:
+def test_hold_and_an_answer_after_noise_like_its_beginning_is_held_from_its_arrival() -> None:
     driver = in_doubt()
     batch = driver.ask(6)
     driver.wait(0.01)
@@ -284,7 +284,7 @@ def test_hold_of_twice_the_slowest_answer_of_this_length_ends_the_doubt() -> Non
 
 
 @pytest.mark.parametrize("is_own", [True, False])
-def test_hold_and_the_end_of_its_time(is_own: bool) -> None:
+def test_hold_in_doubt_and_the_end_of_the_time(is_own: bool) -> None:
     """The answer took 0.6 s, and HOLD would last for 1.2 s."""
     driver = Driver(LINE, timeout=1, retries=int(is_own))
     batch = driver.ask(5)
@@ -310,14 +310,14 @@ def test_hold_and_the_end_of_its_time(is_own: bool) -> None:
     assert not driver.connection.in_flight  # the silence has ended the doubt
 
 
-def test_hold_without_doubt_and_the_end_of_its_time() -> None:
+def test_hold_without_doubt_and_the_end_of_the_time() -> None:
     driver = used()
     batch = driver.ask(20)
     driver.wait(0.9)
     hold(driver, batch, 20, seconds=0.09)
 
 
-def test_doubt_and_a_frame_of_it_count_the_silence_anew() -> None:
+def test_doubt_and_a_frame_of_the_unit_restarts_the_silence() -> None:
     driver = used()
     time_out(driver, 5)
     driver.ask(6)
@@ -331,7 +331,7 @@ def test_doubt_and_a_frame_of_it_count_the_silence_anew() -> None:
 
 
 @each_case("data", ["01 03", "01 83", "01", "FF 01 03 02", "09 03 02 00 01"])
-def test_doubt_and_the_beginning_of_an_answer_count_the_silence_anew(data: str) -> None:
+def test_doubt_and_the_beginning_of_an_answer_restarts_the_silence(data: str) -> None:
     driver = used()
     time_out(driver, 5)
     driver.ask(6)
@@ -343,7 +343,7 @@ def test_doubt_and_the_beginning_of_an_answer_count_the_silence_anew(data: str) 
 
 
 @each_case("data", ["55", "FF FF FF", "02 03 02 00", "09 03 00 00 00 02", "01 04 02", "03"])
-def test_doubt_and_bytes_of_others_do_not_count_the_silence_anew(data: str) -> None:
+def test_doubt_and_bytes_of_other_units_do_not_restart_the_silence(data: str) -> None:
     driver = used()
     time_out(driver, 5)
     silent_from = driver.now
@@ -355,7 +355,7 @@ def test_doubt_and_bytes_of_others_do_not_count_the_silence_anew(data: str) -> N
     assert driver.times[1] == pytest.approx(silent_from + SILENCE)
 
 
-def test_doubt_and_a_late_frame_of_its_unit_count_the_silence_anew() -> None:
+def test_doubt_and_a_late_frame_of_its_unit_restarts_the_silence() -> None:
     """The unit still works through earlier requests, which are of other functions, too."""
     driver = used()
     driver.ask(pdu.ReadInputRegisters(5, 1))
@@ -372,7 +372,7 @@ def test_doubt_and_a_late_frame_of_its_unit_count_the_silence_anew() -> None:
     assert driver.times[2] == pytest.approx(heard_at + SILENCE)
 
 
-def test_hold_and_a_late_frame_of_its_unit_begin_again() -> None:
+def test_hold_and_a_late_frame_of_the_unit_begins_again() -> None:
     driver = used()
     driver.ask(pdu.ReadInputRegisters(5, 1))
     driver.wait(1)
@@ -438,7 +438,7 @@ def test_doubt_continues_over_another_connection() -> None:
     hold(driver, batch, 6)
 
 
-def test_a_connection_that_ends_in_hold_fails_what_is_held() -> None:
+def test_a_connection_that_ends_during_hold_fails_the_request() -> None:
     driver = in_doubt()
     batch = driver.ask(6)
     driver.come(value(6))
@@ -450,7 +450,7 @@ def test_a_connection_that_ends_in_hold_fails_what_is_held() -> None:
     assert driver.is_at_rest
 
 
-def test_a_caller_that_leaves_in_hold_leaves_doubt() -> None:
+def test_a_caller_that_is_cancelled_during_hold_leaves_doubt() -> None:
     driver = in_doubt()
     batch = driver.ask(6)
     driver.come(value(6))
@@ -480,7 +480,7 @@ def test_a_timeout_that_is_changed_ends_each_wait(timeout: float) -> None:
 
 
 @each_case("url", [LINE, TCP])
-def test_a_clock_that_stands_still_makes_no_wait_endless(url: str) -> None:
+def test_a_clock_that_stands_still_makes_no_wait_infinite(url: str) -> None:
     """Requests, answers and frames that nobody awaits, all at one moment."""
     driver = Driver(url, timeout=1)
     for number in range(50):
@@ -495,7 +495,7 @@ def test_a_clock_that_stands_still_makes_no_wait_endless(url: str) -> None:
 
 
 @each_case(("data", "late"), [(b"", 0), (value(1), 1), (value(1) + value(1), 2)])
-def test_answers_beside_the_first_are_counted(data: bytes, late: int) -> None:
+def test_frames_after_the_answer_are_counted_as_late(data: bytes, late: int) -> None:
     driver = Driver(LINE, timeout=1)
     batch = driver.ask(1)
     driver.come(value(1) + data)

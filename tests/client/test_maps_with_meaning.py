@@ -91,7 +91,7 @@ def test_parts_that_are_written_at_the_same_time_are_all_written(served: tuple[D
     assert device_.mapping.holding_registers[2] == 0xFFFF
 
 
-def test_a_mask_that_is_refused_otherwise_is_raised() -> None:
+def test_a_refusal_of_a_masked_write_other_than_exception_1_is_raised() -> None:
     device_ = device(handlers={pdu.MaskWriteRegister: refuse(ServerDeviceBusy)})
     with Server(device_).background("tcp://127.0.0.1:0") as serving:
         plc = Client(serving.urls[0])

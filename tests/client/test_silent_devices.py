@@ -107,7 +107,7 @@ def test_a_device_that_is_silent_about_its_first_registers_is_asked_for_the_othe
             assert values(results) == {"p1", "p2", "p3", "p4", "p5"}
 
 
-def test_a_device_that_answered_is_asked_for_all(world: World) -> None:
+def test_a_device_that_answered_before_is_asked_for_all(world: World) -> None:
     with world.client_of("tcp", silent_about(20, 40), timeout=0.5) as plc, world.lasting(1.0):
         results = plc.read_many(ITEMS, return_exceptions=True)
     assert values(results) == {"p0", "p1", "p3", "p5"}
@@ -158,7 +158,7 @@ def fail(connection: Reconnecting, now: float) -> float:
     return connection.next_attempt - now
 
 
-def test_requests_without_time_for_the_next_attempt_get_the_reason() -> None:
+def test_requests_without_time_for_the_next_attempt_raise_the_reason_of_the_last() -> None:
     connection = made()
     assert connection.refusal(0, 1) is None
     for _ in range(5):
@@ -172,7 +172,7 @@ def test_requests_without_time_for_the_next_attempt_get_the_reason() -> None:
     assert connection.refusal(100, 101) is None  # it may come in time
 
 
-def test_states_come_with_their_reasons_and_closed_is_the_last() -> None:
+def test_states_are_reported_with_their_reasons_and_closed_is_the_last() -> None:
     states: list[tuple[State, Any]] = []
     notices = Notices()
     connection = made(on_state=lambda state, error: states.append((state, error)), notices=notices)

@@ -160,7 +160,7 @@ def test_waiting_requests_are_refused_once_permission_ends(options: Any, count: 
     run_client(on_read_at("tcp", after=0.1), use, may_send=gate, **options)
 
 
-def test_false_is_no_mistake_and_all_but_true_and_false_is(caplog) -> None:
+def test_may_send_must_return_a_bool(caplog) -> None:
     for permission in (False, True):
         driver = Driver(may_send=lambda permission=permission: permission)
         assert driver.ask(1).is_done is not permission
