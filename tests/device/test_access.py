@@ -141,7 +141,7 @@ class TestHooks:
             *[(request.encode()[:1], 3) for request, *_ in TOUCHES],
         ],
     )
-    def test_hooks_never_see_what_does_not_exist_or_is_malformed(self, body, code) -> None:
+    def test_hooks_get_no_invalid_or_missing_addresses(self, body, code) -> None:
         recorder = Recorder()
         before = contents(recorder.device)
         assert recorder.device.answer(body, CALLER) == bytes([body[0] | 0x80, code])
@@ -156,7 +156,7 @@ class TestHooks:
         access = Access("holding_registers", 100, 1, (7,), 0, 0, "/dev/ttyS0")
         assert recorder.calls == [("before_write", access), ("after_write", access)]
 
-    def test_listening_device_calls_no_hooks(self) -> None:
+    def test_a_listening_device_calls_no_hooks(self) -> None:
         recorder, caller = Recorder(), on_a_line()
         diagnose(recorder.device, 4, b"\0\0", caller)
         for request, *_ in TOUCHES:
@@ -230,7 +230,7 @@ class TestHooks:
         assert device.answer(b"\x18\0\x09") == b"\x18\0\4\0\1\0\x08"
         assert device.answer(b"\x14\7\6" + words(4, 9, 1)) == b"\x14\4\3\6\0\x09"
 
-    def test_queue_that_is_too_long_can_be_cut_by_its_hook(self) -> None:
+    def test_a_hook_can_shorten_a_queue_that_is_too_long(self) -> None:
         def cut(access: Access) -> None:
             del device.fifos[access.address][31:]
 
@@ -238,7 +238,7 @@ class TestHooks:
         device.fifos[9] = [1] * 40
         assert len(device.answer(b"\x18\0\x09")) == 5 + 62
 
-    def test_hook_may_write_to_the_mapping_and_the_client_has_the_last_word(self) -> None:
+    def test_the_written_values_replace_those_that_a_hook_set(self) -> None:
         def before(access: Access) -> None:
             device.mapping.holding_registers[100:103] = [1, 2, 3]
 
@@ -279,5 +279,5 @@ class TestHooks:
         assert order == ["hook", "other"]
 
 
-def test_what_writes_and_nothing_else_changes_a_table() -> None:
+def test_every_request_that_writes_and_no_other_changes_a_table() -> None:
     assert all(request.changes == bool(kind.writes) for request, kind in ACCESSES.items())

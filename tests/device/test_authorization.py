@@ -84,7 +84,7 @@ def test_allowed_requests_are_answered(example: bytes) -> None:
 
 @settings(max_examples=100)
 @given(st.binary(min_size=1, max_size=253))
-def test_any_bytes_are_asked_about_once(data: bytes) -> None:
+def test_authorize_is_called_once_for_any_bytes(data: bytes) -> None:
     requests: list[ClientRequest] = []
     answer = TABLES.answered(data, denying(requests))
     is_request = data[0] < 0x80
@@ -107,7 +107,7 @@ class _Shared:
 TABLES = _Shared()
 
 
-def test_all_128_codes_are_asked_about() -> None:
+def test_authorize_is_called_for_all_128_codes() -> None:
     for function in range(128):
         requests: list[ClientRequest] = []
         assert TABLES.answered(bytes([function]), denying(requests)) == bytes([function | 0x80, 1])
@@ -202,7 +202,7 @@ def test_broadcasts_are_asked_about() -> None:
     assert calls == [1]
 
 
-def test_a_restart_and_silence_that_are_denied_do_not_happen() -> None:
+def test_a_denied_restart_or_listen_only_has_no_effect() -> None:
     log = EventLog(is_serial=True)
     device = Device(Mapping(1), authorize=lambda asked: False)
     for data in (b"\x08\x00\x04\x00\x00", b"\x08\x00\x01\xff\x00"):
@@ -244,7 +244,7 @@ async def forgotten(asked: ClientRequest) -> bool:
     ],
     ids=["None", "1", "text", "coroutine", "raises"],
 )
-def test_a_mistake_opens_no_door(authorize: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_error_in_authorize_denies_the_request(authorize: Any, caplog: pytest.LogCaptureFixture):
     caplog.clear()
     tables = Tables(authorize)
     for _ in range(3):
@@ -263,7 +263,7 @@ def test_authorize_may_refuse_with_another_exception() -> None:
     assert tables.done == []
 
 
-def test_what_is_no_function_is_refused_at_once() -> None:
+def test_an_authorize_that_is_no_function_is_refused_at_once() -> None:
     with pytest.raises(TypeError, match="authorize must be a function, not dict"):
         Device(Mapping(1), authorize={})  # type: ignore[arg-type]
 

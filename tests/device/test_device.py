@@ -113,7 +113,7 @@ class TestBroadcasts:
         assert device.answer(b"\x06" + words(0, 7), caller) == b""
         assert device.mapping.holding_registers[100] == 7
 
-    def test_everything_else_is_ignored(self) -> None:
+    def test_a_broadcast_that_is_no_write_is_ignored(self) -> None:
         accesses: list[Access] = []
         device = Device(Mapping(holding_registers=4), before_read=accesses.append)
         line = EventLog(is_serial=True)

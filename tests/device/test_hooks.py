@@ -218,7 +218,7 @@ def test_a_hook_may_ask_its_own_device() -> None:
     assert answers == [b"\3\2\0\1", b"\3\2\0\2"] * 4
 
 
-def test_a_hook_that_asks_without_end_leaves_the_mapping_free() -> None:
+def test_a_hook_with_endless_recursion_leaves_the_mapping_unlocked() -> None:
     device = Device(Mapping(holding_registers=1), before_read=lambda access: device.answer(READ))
     assert device.answer(READ) in (b"\x83\4", b"\3\2\0\0")
     assert is_free(device)

@@ -131,7 +131,7 @@ def test_a_long_chain_of_scales() -> None:
     assert device["s0"] == 7
 
 
-def test_a_moving_scale_is_computed_before_it_is_used() -> None:
+def test_a_moving_scale_is_computed_before_a_value_is_scaled() -> None:
     counter = "counter = { step = 1, interval = 9999, start = 1, wrap = 5 }"
     text = FILE.replace('missing="sunspec", value=-1', counter)
     for plain in (", minimum=5, maximum=30, value=20", ", value=8", ", value=2"):

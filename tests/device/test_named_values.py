@@ -22,7 +22,7 @@ MAP = RegisterMap(
 )
 
 
-def test_values_are_set_and_read_by_the_names_of_points() -> None:
+def test_values_are_set_and_read_by_point_names() -> None:
     device = Device.of_map(MAP, {"setpoint": 21.5, "name": "Ab", "alarms": [True, False, True]})
     assert device.mapping.holding_registers[0] == 215
     assert device["setpoint"] == 21.5
