@@ -157,7 +157,7 @@ def c_client_runs(compiled: Callable[[str], Path]) -> Callable[[str], tuple[set[
 
 
 @each_transport
-def test_c_client_is_content_with_our_server(
+def test_a_c_client_and_our_server_agree(
     c_client_runs: Callable[[str], tuple[set[str], Device]], transport: str, record_property: Record
 ) -> None:
     output, _ = c_client_runs(transport)
@@ -175,7 +175,7 @@ def test_c_client_is_content_with_our_server(
 
 
 @each_transport
-def test_c_client_leaves_its_writes_in_our_mapping(
+def test_a_c_client_writes_into_our_mapping(
     c_client_runs: Callable[[str], tuple[set[str], Device]], transport: str
 ) -> None:
     _, device = c_client_runs(transport)

@@ -88,7 +88,7 @@ def over_each_transport(names: str, cases: dict[tuple[int, str], tuple[object, .
         (4, "most"): (INPUT_REGISTERS, 275, 125, input_register),
     },
 )
-def test_mbpoll_prints_what_our_table_holds(
+def test_mbpoll_prints_the_values_of_our_table(
     transport: str, function: int, table: int, first: int, count: int, value: Callable[[int], int]
 ) -> None:
     with our_server(transport, {UNIT: make_device()}) as place:

@@ -428,7 +428,7 @@ class TestWherePymodbusClientErrs:
             )
         ],
     )
-    def test_answers_it_cannot_measure_are_silence_to_it(self, transport, ask) -> None:
+    def test_pymodbus_times_out_on_answers_of_unknown_length(self, transport, ask) -> None:
         with our_server(transport, {UNIT: make_device()}) as place:
             with (
                 pymodbus_client(str(place.end), timeout=0.2) as client,
@@ -439,7 +439,7 @@ class TestWherePymodbusClientErrs:
             assert pdu.RawRequest(answer[1]).decode_response(answer[1:-2])
 
     @over("server", 8, "pinned", "delimiter")
-    def test_delimiter_must_be_shifted_by_hand(self, transport: str) -> None:
+    def test_the_delimiter_for_pymodbus_must_be_shifted_by_hand(self, transport: str) -> None:
         with asking(transport) as client:
             response = client.diag_change_ascii_input_delimeter(delimiter=0x0A00, device_id=UNIT)
             assert response.message == 0x0A00
@@ -455,7 +455,7 @@ class TestWherePymodbusClientErrs:
             assert device.mapping.coils[10:1979] == cells(coil, 10, 1969)
 
     @over("server", 20, "pinned")
-    def test_record_length_is_halved_on_the_way(self, transport: str) -> None:
+    def test_pymodbus_halves_the_record_length(self, transport: str) -> None:
         # record_length is in bytes for it, although the field of the frame is in
         # registers: 4 asks for two registers, and an odd one cannot be asked for.
         piece = FileRecord(file_number=4, record_number=7, record_length=4)

@@ -107,7 +107,7 @@ def test_clients_talk_with_s_server(connect: Connect, pki: Pki, version: str, ke
 
 
 @pytest.mark.parametrize("version", ["tls1_2", "tls1_3"])
-def test_s_server_refuses_a_certificate_of_others(connect: Connect, pki: Pki, version: str) -> None:
+def test_s_server_refuses_another_authority(connect: Connect, pki: Pki, version: str) -> None:
     own = pki.security(certificates.client(issuer=certificates.foreign_authority()))
     with (
         s_server(pki, certificates.server(), f"-{version}") as server,
@@ -120,7 +120,7 @@ def test_s_server_refuses_a_certificate_of_others(connect: Connect, pki: Pki, ve
 @pytest.mark.parametrize(
     "options", [["-tls1_2", "-cipher", "AES128-GCM-SHA256"], ["-no_tls1_3", "-no_tls1_2"]]
 )
-def test_s_server_with_nothing_in_common(connect: Connect, pki: Pki, options: list[str]) -> None:
+def test_s_server_without_common_ciphers(connect: Connect, pki: Pki, options: list[str]) -> None:
     """Without ephemeral keys; and without a version that R-01 allows."""
     identity = certificates.server(key=certificates.rsa_key())
     with s_server(pki, identity, *options) as server:
@@ -130,7 +130,7 @@ def test_s_server_with_nothing_in_common(connect: Connect, pki: Pki, options: li
         plc.close()
 
 
-def test_pymodbus_refuses_a_certificate_of_others(connect: Connect, pki: Pki) -> None:
+def test_pymodbus_refuses_a_certificate_of_another_authority(connect: Connect, pki: Pki) -> None:
     """asyncio closes without the alert that would say so."""
     own = pki.security(certificates.client(issuer=certificates.foreign_authority()))
     with (

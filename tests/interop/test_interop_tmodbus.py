@@ -73,7 +73,7 @@ def ask(pki: Pki, port: int, request: Any, version: ssl.TLSVersion) -> Any:
 @pytest.mark.parametrize(
     "function", [pytest.param(item, id=case_id("tmodbus", "server", "tls", item)) for item in ASKED]
 )
-def test_its_client_and_our_server_agree(pki: Pki, function: int, version: ssl.TLSVersion) -> None:
+def test_a_tmodbus_client_and_our_server_agree(pki: Pki, function: int, version: ssl.TLSVersion):
     request, result = ASKED[function]
     with our_tls_server(pki, {UNIT: make_device()}) as wire:
         assert ask(pki, wire.port, request, version) == result
@@ -130,7 +130,7 @@ def its_server(pki: Pki, roles: list[str | None]) -> Iterator[int]:
         thread.join()
 
 
-def test_our_context_and_its_server_agree(pki: Pki) -> None:
+def test_our_context_and_a_tmodbus_server_agree(pki: Pki) -> None:
     roles: list[str | None] = []
     with its_server(pki, roles) as port:
         url = f"tls://127.0.0.1:{port}?unit={UNIT}&timeout={TIMEOUT}"
@@ -147,7 +147,7 @@ def test_our_context_and_its_server_agree(pki: Pki) -> None:
     assert roles == ["Operator"] * 4 + ["Guest"]
 
 
-def test_our_asyncio_client_and_its_server_agree(pki: Pki) -> None:
+def test_our_asyncio_client_and_a_tmodbus_server_agree(pki: Pki) -> None:
     roles: list[str | None] = []
 
     async def read(port: int) -> list[list[int]]:
