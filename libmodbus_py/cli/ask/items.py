@@ -143,7 +143,7 @@ class Words:
             if self._type is None and not any(re.match(r"[0-9][0-9-]*:", word) for word in words):
                 raise ValueError(f"--{name} needs --type, or a type as in hr 100:float32")
         self._options_of_types = {**USUAL, **layout}
-        self._kind(self._type)  # refuses what is wrong without any item, too
+        self._kind(self._type)  # refuses invalid options without any item, too
 
     def __bool__(self) -> bool:
         return bool(self._words)
@@ -225,7 +225,7 @@ class Words:
         return number_of("count", self._words.popleft())
 
     def _pop(self) -> str:
-        """Take a word; of a word such as 40101=5 only what stands before the value."""
+        """Take a word; of a word such as 40101=5 only the part before the value."""
         word = self._words.popleft()
         if "=" not in word or self._is_point(word):
             return word

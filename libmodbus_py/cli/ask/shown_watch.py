@@ -66,7 +66,7 @@ class ShownWatch:
                 readings += [(now, device, name, None, of, quality, failure) for name, of in names]
                 continue
             mark = "Fell" if results[at].has_fallen else ""
-            readings += [  # of an empty queue there are none
+            readings += [  # an empty queue has no values
                 (now, device, name, _value(row.plain), of, "good", mark)
                 if row.plain or not row.unit
                 else (now, device, name, None, of, "bad", row.unit[1:-1])

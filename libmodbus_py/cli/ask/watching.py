@@ -114,7 +114,7 @@ def _times(interval: float, count: int | None, lasts: float) -> Iterator[float]:
 
 
 def _poll(reader: Watcher, context: Client, due: float, printers: Sequence[Printer]) -> bool:
-    """Print the results of a unit, or why there are none; return True if there are results."""
+    """Print the results of a unit, or the reason without results; return True with results."""
     results, reason = list[ReadResult](), ""
     try:
         results = reader.poll(context, due)
@@ -144,7 +144,7 @@ def _printers(options: argparse.Namespace, readers: Sequence[Watcher], title: st
 
 
 def _complain(notes: dict[int, str], unit: int, results: Sequence[ReadResult], reason: str) -> None:
-    """Print why values of a unit are missing, when this is not what was `said` of it before."""
+    """Print why values of a unit are missing, if this differs from the last message about it."""
     text = reason or "; ".join(result.failure for result in results if result.failure)
     if text and text != notes.get(unit):
         complain(text)

@@ -158,7 +158,7 @@ def notify_ready() -> None:
     if not place.startswith(("/", "@")):
         return
     address = "\0" + place[1:] if place.startswith("@") else place
-    # A manager that is gone is not a reason to stop serving.
+    # A service manager that has ended is no reason to stop serving.
     with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
         sender.sendto(b"READY=1", address)
 
