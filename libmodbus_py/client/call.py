@@ -115,7 +115,7 @@ class Call:
         self.outcome: Any = NOT_ASKED  # the result, or the exception
         self.is_done: bool = False
         self.adu: bytes = b""  # the frame that was sent last
-        self.sent_at: float = 0.0  # until it is sent: when it began to wait for a connection
+        self.sent_at: float = 0.0  # before sending: when it began to wait for a connection
         self.waited: float = 0.0  # seconds of its timeout that had passed when it was connected
         # How often it was sent again: because it was not answered, and because the device was busy.
         self.tries: tuple[int, int] = 0, 0
@@ -348,7 +348,7 @@ class Matching(ABC):
     def __init__(self, statistics: Statistics, trace: Trace) -> None:
         # Requests in flight, by their ids, in the order in which they were sent.
         self.pending: dict[int, Call] = {}
-        # When `expire` must be called; may be too early, but never too late.
+        # The time at which `expire` must be called; may be too early, but never too late.
         self.alarm: float = math.inf
         self.unanswered: int = 0  # requests without an answer since the last answer
         self.unasked: int = 0  # bytes since the last request, while no answer was awaited

@@ -65,7 +65,7 @@ class Transactions:
         self.statistics: Statistics = settings["statistics"] or Statistics()
         self.url: str = str(endpoint)
         self._trace = Trace(self.url, settings["trace"], later=self.notices.add)
-        # Who waits for a device misses it during a pause.
+        # Whoever waits for a device to connect would miss the connection during a pause.
         pause = 0.0 if endpoint.is_listening else settings["max_pause"]
         life = Reconnecting(str(port), pause, self.statistics, self.notices, settings["on_state"])
         self.life: Reconnecting = life
@@ -132,14 +132,14 @@ class Transactions:
     def withdraw(self, job: Call | Batch, now: float) -> None:
         """Forget requests; their answers count as missing until they arrive."""
         job.forget()
-        # Of a batch also those behind one that failed, which may be in flight.
+        # Of a batch also the calls after a failed one, which may be in flight.
         calls = job.calls if isinstance(job, Batch) else [job]
         were_in_flight = [self._let_go(call, now) for call in calls]
         if any(were_in_flight):
             self.matching.note_unanswered()
 
     def _let_go(self, call: Call, now: float) -> bool:
-        """Stop waiting for a request whose caller is gone; return True if it was in flight."""
+        """Stop waiting for a request whose caller left; return True if it was in flight."""
         self.queue.leave(call)
         was_in_flight = self.matching.withdraw(call, now)
         if was_in_flight:
@@ -297,7 +297,7 @@ class Transactions:
         # A connection that was given up as dead has taken its time, and the next one may be alive.
         if by_itself and self.life.fruitless >= LOSSES_BEFORE_END:
             self.refuse(error)
-        for call in list(self.queue.waiting):  # their time to wait for the next one begins
+        for call in list(self.queue.waiting):  # their time to wait for a connection begins
             self.queue.remove(call)
             if not call.is_done:
                 self.submit(call, now)
@@ -405,7 +405,7 @@ class Transactions:
                     self._outcomes.note_invalid(mistake, call, now)
                 else:
                     self.statistics.note_answer(reply[0], now - call.sent_at, now)
-                    if self.life.fruitless:  # the other side is alive
+                    if self.life.fruitless:  # the server or device is alive
                         self.life.prove()
                     call.settle(result)
                     if not self._has_ids:

@@ -38,14 +38,14 @@ class Pair:
     silence: float = 0.0  # in DOUBT, how many seconds it must be silent
     # True if the last request was answered, but the time for HOLD was too short.
     is_answered: bool = False
-    is_repeating: bool = False  # True if a frame of it came without a request
-    slowest: float = 0.0  # how long its slowest answer took, ever
+    is_repeating: bool = False  # True if a frame of the pair came without a request
+    slowest: float = 0.0  # how long the slowest answer of the pair ever took
     _owed: weakref.ref[Call] | None = None
 
     def __init__(self, now: float, interval: float = math.inf) -> None:
         # After so many seconds an answer is checked again: doubled each time.
         self.interval: float = interval
-        self.heard_at: float = now  # when a frame of it came last
+        self.heard_at: float = now  # when a frame of the unit came last
         self.checked_at: float = now
         # Length of answers -> the longest time that one took, which fades, and the shortest one.
         self._times: dict[int, tuple[float, float]] = {}

@@ -20,7 +20,7 @@ from ..ports.schemes import options_of
 from ..protocol.checks import checked_callback
 from ..protocol.mistakes import unknown_option
 
-# Programs that make no client need none of these, which bring dataclasses, and with it inspect.
+# Programs without a client need none of these, which import dataclasses and inspect.
 if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
     from ..ports.trace import OnTraced
