@@ -201,7 +201,7 @@ class Functions(ContextBase):
     # --- how ---------------------------------------------------------------------------------
 
     def _read(self, kind: Any, function: Any, cells: Any, address: int, count: int) -> list[int]:
-        """As `_transact`, without what most calls do not need: each read goes through here."""
+        """As `_transact`, without steps that few calls need: each read goes through here."""
         if not (
             type(address) is int
             and type(count) is int
