@@ -106,7 +106,7 @@ class RegisterList:
         self._rows = list(self._selected(rows))
         self._table = self._options.table or self._origin.table
         self._tells_table = {"table", "function"} & self._columns.keys() or self._table
-        self._first_address = self._options.first_address  # address 0 as the list calls it
+        self._first_address = self._options.first_address  # the list's number for address 0
         if self._first_address is None and self._tells_table:
             self._first_address = self._origin.first_address
         self._check_ignored(ignored_headings)

@@ -322,7 +322,7 @@ class Point:
 
 
 def _is_within(value: Any, low: Any, high: Any) -> bool:
-    """Return True if the bounds hold as they are written: Decimal("0.3") is not above 0.3."""
+    """Return True if a value is within the bounds as written: Decimal("0.3") is not above 0.3."""
     if not isinstance(value, int | float):
         value, low, high = (item if item is None else exact(item) for item in (value, low, high))
     return (low is None or value >= low) and (high is None or value <= high)
