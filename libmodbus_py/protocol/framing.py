@@ -117,7 +117,7 @@ class RtuFramer(Framer):
 
     def _scan_silence(self) -> None:
         self._cut(bytes(self.rest), is_silent=True)
-        if not self.rest:  # else it belongs to the damage before
+        if not self.rest:  # otherwise the byte belongs to the damage before
             self._in_run = False
 
     def _cut(self, data: bytes, *, is_silent: bool) -> None:
