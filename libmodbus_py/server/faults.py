@@ -23,7 +23,7 @@ class Fragment(NamedTuple):
 
     wait: float
     data: bytes
-    is_last: bool = False  # the connection is closed behind it
+    is_last: bool = False  # the connection is closed after this fragment
     traced: tuple[tuple[bytes, Frame | None], ...] = ()  # None for bytes that are no frame
 
 
@@ -129,7 +129,7 @@ class FaultState:
     fault: ServerFault
     is_given: bool  # True if it was passed to the server, and not switched on later
     is_on: bool = True
-    number: int = field(default_factory=lambda: next(_numbers))  # greater than of earlier ones
+    number: int = field(default_factory=lambda: next(_numbers))  # later faults have greater ones
 
 
 class FaultSwitch:
