@@ -185,6 +185,6 @@ def _amount(
 
 
 def _in_units(text: str, units: dict[str, int]) -> float:
-    """Return an amount in its smallest unit; nan if it is none."""
+    """Return an amount in its smallest unit; nan for another text."""
     match = _AMOUNT.fullmatch(text)
     return float(match[1]) * units.get(match[2], math.nan) if match else math.nan

@@ -129,14 +129,14 @@ def _spreadsheet(
         raise kind((), reason, place=place) from None
     try:
         book = load_workbook(data, data_only=True)
-    except Exception as error:  # each version of openpyxl raises others
+    except Exception as error:  # each version of openpyxl raises other exceptions
         raise kind((), f"is no spreadsheet: {error}", place=place) from None
     if sheet is not None and sheet not in book.sheetnames:
         reason = f"must be one of {', '.join(book.sheetnames)}, not {sheet!r}"
         raise kind("sheet", reason, place=place)
     name = sheet or book.sheetnames[0]
     rows = [[*row] for row in book[name].iter_rows(values_only=True)]
-    for area in book[name].merged_cells.ranges:  # each row has what several rows share
+    for area in book[name].merged_cells.ranges:  # merged cells are copied into each of their rows
         for row in rows[area.min_row : area.max_row]:
             row[area.min_col - 1] = rows[area.min_row - 1][area.min_col - 1]
     text = "".join(f"{','.join(map(_quoted, row))}\n" for row in rows)
@@ -145,7 +145,7 @@ def _spreadsheet(
 
 
 def _quoted(cell: object) -> str:
-    """Return a cell of a spreadsheet as one of CSV, on one line."""
+    """Return a cell of a spreadsheet as a cell of CSV, on one line."""
     if isinstance(cell, float) and cell.is_integer():
         cell = int(cell)
     text = str(cell).lower() if isinstance(cell, bool) else "" if cell is None else str(cell)
