@@ -98,7 +98,7 @@ def _failed(error: Exception) -> int:
 
 
 def advice(error: Exception) -> str:
-    """Return what to try after a failure; empty if nothing is known that would help."""
+    """Return advice after a failure; empty if none would help."""
     from ..protocol.errors import NO_UNIT, ModbusError, ModbusTimeoutError
     from .output import PROGRAM
 

@@ -49,7 +49,7 @@ def _escaped(error: UnicodeError) -> tuple[str, int]:
 
 
 def abandon() -> None:
-    """Discard the buffered output and all that follows; writing it at exit would fail again."""
+    """Discard the buffered output and all later output; writing it at exit would fail again."""
     with contextlib.suppress(OSError, ValueError):
         descriptor = sys.stdout.fileno()
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -196,7 +196,7 @@ class Status:
         self._next = time.monotonic() + after
 
     def show(self, text: str) -> None:
-        """Draw a text, unless another one was drawn just now."""
+        """Draw a text, unless one was drawn a moment before."""
         now = time.monotonic()
         if not self._is_wanted or now < self._next:
             return

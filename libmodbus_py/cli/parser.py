@@ -92,7 +92,7 @@ class Parser(argparse.ArgumentParser):
         return add
 
     def refuse_command(self, word: str) -> NoReturn:
-        """Exit with the message that there is no such command, which names a close one."""
+        """Exit with the message that there is no such command, and a similar one."""
         from ..protocol.mistakes import close_to
         from .foreign import COMMANDS as FOREIGN
 

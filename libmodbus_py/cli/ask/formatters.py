@@ -275,7 +275,7 @@ Printer = Callable[[int, Sequence[ReadResult], str], None]
 def printer_of(
     options: argparse.Namespace, items: Sequence[Item], *, several: bool, are_polls: bool
 ) -> Printer:
-    """Return what prints results of several units, or one; those of polls with the time."""
+    """Return the printer of results of several units, or of one; for polls also of the time."""
     if options.csv:
         return _CsvRows(items, has_unit=several, path=options.written_to).print
     if options.json:

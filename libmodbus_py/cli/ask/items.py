@@ -122,7 +122,7 @@ class Item(NamedTuple):
 
 
 class Words:
-    """The words on the command line, taken one after the other; to write, they have values."""
+    """The words on the command line, read one after the other; items to write have values."""
 
     def __init__(
         self, options: argparse.Namespace, words: Sequence[str], *, have_values: bool = False
@@ -149,7 +149,7 @@ class Words:
         return bool(self._words)
 
     def all_items(self, groups: Iterable[str]) -> list[Item]:
-        """Take all items of a read: groups of the map, and what was typed; else the whole map."""
+        """Return all items of a read: groups of the map, and typed items; else the whole map."""
         names: list[str] = []
         for group in groups:
             if self.map is None:
@@ -183,7 +183,7 @@ class Words:
         return [_of_point(point) for point in sources_of(points, self.map).values()]
 
     def take_item(self) -> Item:
-        """Take ``TABLE ADDRESS``, a reference, or a name; raise ValueError if it is none."""
+        """Read ``TABLE ADDRESS``, a reference, or a name; raise ValueError for other words."""
         first = self._pop()
         name = first.partition(":")[0]
         if name in TABLE_WORDS or (_table_word(name) and not self._is_point(first)):
@@ -207,7 +207,7 @@ class Words:
         )
 
     def take_values(self) -> list[str]:
-        """Take all words up to the next item."""
+        """Read all words up to the next item."""
         values = []
         while self._words and not self._begins_item(self._words[0]):
             values.append(self._words.popleft())

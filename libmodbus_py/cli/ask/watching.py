@@ -48,7 +48,7 @@ class Watcher(Reader):
 
     def poll(self, client: Client, at: float) -> list[ReadResult]:
         """
-        Ask for all items that are due; those that are not due have their last results.
+        Read all items that are due; the others keep their last results.
 
         A total that is smaller than before is read again. `at` is when this poll is due, in seconds
         of any steady clock. Raises what `ask` does.

@@ -178,7 +178,7 @@ class Hangup:
         self.release()
 
     def release(self) -> None:
-        """Let the signal come; what waited comes now."""
+        """Allow signals again; those that waited arrive now."""
         signal.pthread_sigmask(signal.SIG_SETMASK, self._before)
 
     def answered(
