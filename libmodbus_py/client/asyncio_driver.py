@@ -78,7 +78,7 @@ class AsyncioDriver:
         return self._life.state is not State.CLOSED
 
     def run(self, job: Call | Batch) -> TaskCaller:
-        """Send requests; the caller awaits at once what is returned, for their result."""
+        """Send requests; the caller must await the returned object at once, for their result."""
         loop = asyncio.get_running_loop()
         if loop is not self._loop:
             self._bind()

@@ -34,7 +34,7 @@ SLEPT_S = 0.005
 
 class BlockingDriver:
     """
-    Runs the requests of one connection, those of one caller at a time, for any thread.
+    Runs the requests of one connection; several threads may call, one at a time is served.
 
     While a thread holds `lock`, only that thread can send. `waker` is how it waits.
     """

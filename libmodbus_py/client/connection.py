@@ -49,7 +49,7 @@ LOSSES_BEFORE_END = 3
 
 class Transactions:
     """
-    Sends requests in their order, and settles them.
+    Sends requests in their order, and settles their outcomes.
 
     Of the port only the name, the silence and the certificate are used.
     """
@@ -110,7 +110,7 @@ class Transactions:
     # --- callers ------------------------------------------------------------------------------
 
     def submit(self, job: Call | Batch, now: float) -> None:
-        """Take a request, or several of one caller; outcomes may be set at once."""
+        """Accept a request, or several of one caller; outcomes may be set at once."""
         if isinstance(job, Batch):
             if not job.waiting:
                 return
@@ -168,7 +168,7 @@ class Transactions:
 
     def start(self, now: float, send: Callable[[list[bytes], float], object]) -> bool:
         """
-        Send what may be sent now; return True if that was anything.
+        Send the requests that may be sent now; return True if any was sent.
 
         At once up to half of those that may be in flight: the next call sends the others, so that
         the server has work while answers are decoded. Frames are traced once they were sent.
@@ -241,7 +241,7 @@ class Transactions:
     # --- the connection -----------------------------------------------------------------------
 
     def opened(self, now: float) -> None:
-        """The connection was established: send what waits for it."""
+        """The connection was established: send the waiting requests."""
         self._reset(now)
         self._opened_at = now
         self._next_start = max(self._next_start, now + self._settings["connect_delay"])
@@ -359,7 +359,7 @@ class Transactions:
         return again
 
     def refuse(self, error: ModbusError, later: Collection[Call] = ()) -> None:
-        """Fail all requests that wait, except some."""
+        """Fail all waiting requests, except some."""
         for call in self.queue.drain(later):
             if not call.is_done:
                 self._outcomes.refuse(call, error)

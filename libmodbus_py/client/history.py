@@ -54,12 +54,12 @@ class Pair:
 
     @property
     def quiet_at(self) -> float:
-        """In DOUBT, when it has been silent for long enough."""
+        """In DOUBT, the time at which the unit has been silent for long enough."""
         return self.heard_at + self.silence
 
     @property
     def owed(self) -> Call | None:
-        """The request whose answer may still come; None if others may come, too."""
+        """The request whose answer may still come; None if answers to others may come, too."""
         return None if self._owed is None else self._owed()
 
     def doubt(self, now: float, silence: float, owed: Call | None = None) -> None:
@@ -72,7 +72,7 @@ class Pair:
         self.heard(now)
 
     def heard(self, now: float) -> None:
-        """Count the silence anew."""
+        """Restart the silence."""
         self.is_answered = False
         self.heard_at = now
 
@@ -94,7 +94,7 @@ class Pair:
             self._answers[_asked(request)] = answer
 
     def is_of_another(self, request: bytes, answer: bytes) -> bool:
-        """Return True if an answer is the last one to another request, and not to this one."""
+        """Return True if an answer equals the last one to another request, but not to this one."""
         answers = self._answers
         return answers.get(_asked(request)) != answer and answer in list(answers.values())
 

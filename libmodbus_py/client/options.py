@@ -88,7 +88,7 @@ def checked_options(
     **usual: Any,
 ) -> AsyncOptions:
     """
-    Return all options of a client: those given, else those of the URL, else the usual ones.
+    Return all options of a client: its arguments, else those of the URL, else the defaults.
 
     Args:
         endpoint: the endpoint of the URL.

@@ -112,7 +112,7 @@ class Queue:
             self.write = call
 
     def wait_again(self, calls: list[Call]) -> None:
-        """Put back requests that were sent before all others; their time goes on."""
+        """Put requests that were sent back to the front; their time goes on."""
         self.waiting.extendleft(reversed(calls))
         for call in calls:
             self.matching.wake(call.deadline)

@@ -40,7 +40,7 @@ class TaskCaller:
         self._cancelled: CancelledError | None = None
 
     def go_on(self) -> None:
-        """Let the task go on, if it waits: at once, unless another task calls this."""
+        """Resume the task, if it waits: at once, unless another task calls this."""
         resume, self._resume = self._resume, None
         if resume is None:
             return
