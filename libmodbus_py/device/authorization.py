@@ -92,7 +92,7 @@ class Authorization:
 
 
 def what_is_asked(request: ClientRequest) -> str:
-    """Return function and unit of a request, and what it touches first, for the log."""
+    """Return function and unit of a request, and its first access, for the log."""
     ranges = [f"write {_range_text(access)}" for access in request.writes[:1]]
     ranges += [f"read {_range_text(access)}" for access in request.reads[:1]]
     return ", ".join([f"function {request.function} of unit {request.unit}", *ranges])
