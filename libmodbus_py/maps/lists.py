@@ -168,7 +168,7 @@ class RegisterList:
             kinds = {meanings.get(word_of(cell), word_of(cell)) for cell in row.cells}
             if row.cells == self._text.head.cells:
                 is_of_other = False
-                self.notes.append(f"the headings stand in line {row.line} again")
+                self.notes.append(f"the headings are repeated in line {row.line}")
                 continue
             if kinds.issuperset(("name", "address")):
                 reason = "has other headings: a list has one table"

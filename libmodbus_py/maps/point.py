@@ -159,7 +159,7 @@ class Point:
     @property
     def to_value(self) -> Callable[[Any], Any] | None:
         """
-        The function that converts a raw value to a scaled one; None where they are the same.
+        The function that converts a raw value to a scaled one; None if both are equal.
 
         The factor of `scale_from` is not in it.
         """
@@ -231,7 +231,7 @@ class Point:
         return DecodedValue.of(results, is_list=self.count > 1)
 
     def scaling_for(self, source: object) -> Scaling | None:
-        """Return the scaling, None where raw values are values; or raise NoValue for no scale."""
+        """Return the scaling, None without one; or raise NoValue for an invalid scale."""
         if self.scale_from is None:
             return self._scaling
         try:

@@ -135,7 +135,7 @@ class PastRefusal(NamedTuple):
 
 @dataclass(slots=True)
 class Refusals:
-    """What one client knows of a unit: refused pieces, where requests begin, and the first one."""
+    """The refusals of one unit, as one client knows them: pieces, cuts, and the first request."""
 
     pieces: dict[Span, PastRefusal] = field(default_factory=dict)
     cuts: dict[tuple[Any, ...], PastRefusal] = field(default_factory=dict)
@@ -380,7 +380,7 @@ def reading(
 def carried_out(
     steps: _PlanSteps[Result], ask: Callable[[list[pdu.Request[Any]]], Iterable[Any]]
 ) -> Result:
-    """Return the result of steps whose outcomes another function gets."""
+    """Return the result of steps; another function gets the outcomes of their requests."""
     try:
         requests = next(steps)
         while True:
