@@ -161,13 +161,13 @@ class Outage:
         self._name = name
 
     def begin(self, error: ModbusError) -> None:
-        """Log that it is lost, or cannot be opened."""
+        """Log that the port is lost, or cannot be opened."""
         if not self.is_on:
             self.is_on = True
             self._log.warning("%s: %s; trying again", self._name, error)
 
     def end(self) -> None:
-        """Log that it is open again."""
+        """Log that the port is open again."""
         if self.is_on:
             self.is_on = False
             self._log.warning("%s: open again", self._name)
