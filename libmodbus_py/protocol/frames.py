@@ -44,7 +44,7 @@ _new_frame: Callable[[tuple[int, bytes, int]], Frame] = partial(tuple.__new__, F
 
 class OverheardResponse(Frame):
     """
-    A response of another unit on the line, which a server hears.
+    A response of another unit on the line, which a server receives.
 
     `scan` and `scan_silence` return it among the frames; `feed` and `silence` do not.
     """
@@ -99,7 +99,7 @@ class Framer(ABC):
 
     def feed(self, data: bytes) -> list[Frame]:
         """
-        Take received bytes, and return the frames that they complete.
+        Receive bytes, and return the frames that they complete.
 
         Raises:
             FrameError: bytes are not a frame, and there is no frame to return before that.

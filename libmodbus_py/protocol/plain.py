@@ -29,7 +29,7 @@ CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 
 def plain(value: Any) -> Any:
     """
-    Return a value, or a request, made of what JSON has.
+    Return a value, or a request, made of types that JSON has.
 
     Bytes are hexadecimal text, nan and infinities None; requests and named tuples are objects.
     """
