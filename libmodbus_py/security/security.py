@@ -226,7 +226,7 @@ class GivenContext:
         return Acceptance(lambda: None)
 
     def warn_of_end(self) -> None:
-        """Do nothing, because a context does not tell which certificate it shows."""
+        """Do nothing, because the certificate of an SSLContext cannot be read."""
 
 
 # --- reloading ------------------------------------------------------------------------------
