@@ -44,7 +44,7 @@ class ServerFault(Protocol):
         ...
 
     def fragments(self, answer: Frame, framer: Framer) -> list[Fragment]:
-        """Return what is sent in place of an answer."""
+        """Return the bytes to be sent instead of an answer."""
         ...
 
 
@@ -177,7 +177,7 @@ class FaultSwitch:
 
     def turn(self, state: FaultState, *, is_on: bool) -> None:
         """
-        Switch one fault of `states` on or off; it stays in its place among them.
+        Switch one fault of `states` on or off; it keeps its position.
 
         Raises:
             ValueError: the server does not have this fault any more.

@@ -54,7 +54,7 @@ class SessionSettings:
         return Echo(setting)
 
     def note_echo(self) -> None:
-        """Count a connection that was found to return what is sent; log the first one."""
+        """Count a connection with an echo; log the first one."""
         self.statistics.echoes += 1
         if not self._was_echo_logged:
             self._was_echo_logged = True
@@ -200,7 +200,7 @@ class FrameServer(ABC):
         self.statistics.bad_frames += 1
 
     def note_overheard(self, answer: OverheardResponse) -> None:  # noqa: B027  # gateways count no units
-        """Note what another unit on the line answers."""
+        """Note a frame of another unit on the line."""
 
     def _search(self) -> None:
         if self._unsearched or not self._is_quiet:
