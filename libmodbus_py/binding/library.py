@@ -109,7 +109,7 @@ Answered = tuple[int, bytes, int, int]
 
 
 def make_tally() -> Any:
-    """Return a tally_t: the notes of the replier about the requests of one device."""
+    """Return a tally_t: the counts of the replier about the requests of one device."""
     return ffi.new("tally_t *")
 
 
@@ -154,7 +154,7 @@ class Replier:
         self.close()
 
     def renew(self) -> None:
-        """Replace the socketpair, in which answers may still lie."""
+        """Replace the socketpair, in which answers may remain."""
         self.close()
         self._open()
 

@@ -21,7 +21,7 @@ from ..version import what_is_missing
 
 
 class FilePlace(NamedTuple):
-    """A place in a file; everything is left out where it is not known."""
+    """A place in a file; unknown parts are left out."""
 
     file: str = ""
     line: int | None = None  # from 1
