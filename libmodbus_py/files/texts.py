@@ -58,7 +58,7 @@ class FileError(WrongValue):
         return type(self)(self.path, self.reason, self.between, self.place._replace(file=file))
 
     def under(self, around: Path) -> Mistake:
-        """Return an error about the key that names the file of this one."""
+        """Return a mistake at the key `around`, which names the file of this error."""
         return WrongValue.about(around, str(self))
 
     def __str__(self) -> str:
@@ -78,7 +78,7 @@ def _content(path: str | PathLike[str], kind: type[FileError]) -> bytes:
 
 
 def read_text(path: str | PathLike[str], kind: type[FileError]) -> str:
-    """Return the text of a file in UTF-8; raise a `kind` if there is none."""
+    """Return the text of a file in UTF-8; raise an error of the class `kind` if that fails."""
     try:
         return _content(path, kind).decode("utf-8")
     except UnicodeDecodeError as error:

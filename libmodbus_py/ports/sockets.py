@@ -209,7 +209,7 @@ class StreamPort(SocketPort):
 
 
 class HostPort(SocketPort):
-    """A socket that is connected to one host and port, from any address of this machine or one."""
+    """A socket connected to one host and port, from a given source address or from any."""
 
     def __init__(self, host: str, port: int, source: str | None = None) -> None:
         if not isinstance(host, str):

@@ -317,5 +317,5 @@ def pdu_of(framing: Framing, adu: bytes) -> bytes:
 
 
 def transaction_of(framing: Framing, adu: bytes) -> int | None:
-    """Return the transaction id of such a frame, 0..65535; None where frames have none."""
+    """Return the transaction id of a frame, 0..65535; None for frames without ids."""
     return int.from_bytes(adu[:2]) if framing in ("tcp", "udp") else None

@@ -252,7 +252,7 @@ class _Reloadable(Protocol):
 
 
 class RenewedValue(Generic[T]):
-    """A value that `read` makes of files, as of the last time that all of them were good."""
+    """A value that `read` makes of files; it stays the former one while a file is wrong."""
 
     def __init__(self, read: Callable[[], T]) -> None:
         self._read = read
