@@ -1,4 +1,4 @@
-"""The command certificates: what lies in the directory afterwards."""
+"""The command certificates, and the files in its directory afterwards."""
 
 import shlex
 import ssl
@@ -206,12 +206,12 @@ def test_a_renewed_certificate_has_all_but_its_times_and_number(tmp_path: Path) 
 
 
 def test_revoked_certificates_are_refused_and_others_are_not(tmp_path: Path) -> None:
-    """By name, and by a serial number as the audit trail has it, of a certificate that is gone."""
+    """By name, and by the serial number in an audit trail, of a deleted certificate."""
     make(tmp_path)
     serial = f"{load(tmp_path / 'operator.pem').serial_number:x}"
     result = make(tmp_path, "--revoke", "viewer", "--revoke", serial)
     assert result.out.splitlines()[1:] == [f"{serial}: revoked", str(tmp_path / "crl.pem")]
-    assert make(tmp_path, "--crl", "--days", "3").code == 0  # what was revoked stays so
+    assert make(tmp_path, "--crl", "--days", "3").code == 0  # revoked certificates stay revoked
     for name in ("viewer", "operator"):
         assert "certificate revoked" in verify(tmp_path, name)
     for name in ("server", "engineer", "ca"):

@@ -68,7 +68,7 @@ def test_output_goes_into_a_new_file(url: str, tmp_path: Path, option: str) -> N
 
 def test_csv_continues_a_file_of_the_same_columns(url: str, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    path.touch()  # an empty file has no other columns
+    path.touch()  # an empty file has no header with other columns
     words = ("read", url, "hr", 0, 2)
     for _ in range(2):
         assert run(*words, "--csv", path) == (0, "", "")

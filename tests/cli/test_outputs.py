@@ -117,7 +117,7 @@ def url(tmp_path: Path) -> Iterator[str]:
 
 
 def stable(text: str) -> str:
-    """Replace what is not the same in each run."""
+    """Replace the parts that differ in each run."""
     text = re.sub(r"127\.0\.0\.1:[0-9]+", "127.0.0.1:PORT", text)
     text = re.sub(r"20\d\d-\d\d-\d\dT[\d:]{8}\.\d{3}Z|[\d:]{8}\.\d{3}(?= [<>] )", "TIME", text)
     text = re.sub(r" *\b[0-9.]+ (min|s|ms)\b(?! of)", " DURATION", text)

@@ -32,7 +32,7 @@ def url(pki: Pki) -> Iterator[str]:
 
 @pytest.fixture
 def own(pki: Pki) -> list[str]:
-    """Options of one who may talk."""
+    """The options of a client that may read and write."""
     files = pki.files(certificates.client())
     return ["--cert", str(files.cert), "--key", str(files.key), "--ca", str(pki.ca)]
 
@@ -45,7 +45,7 @@ def read(url: str, *options: str, **environment: str) -> str:
 
 
 def fails(code: int, *arguments: str, **environment: str) -> str:
-    """The one line that tells why."""
+    """Return the one line of the error."""
     result = run(*arguments, environment=environment)
     assert result.code == code
     assert result.out == ""

@@ -13,7 +13,7 @@ from tests.support.programs import run_to_end
 
 
 def modules_after(*arguments: str) -> set[str]:
-    """Those in memory when the command ends."""
+    """Return the modules that were imported when the command ends."""
     program = (
         "import atexit, sys\n"
         "from libmodbus_py.cli.main import main\n"
@@ -87,13 +87,13 @@ def test_closed_streams_are_no_error(closed: str) -> None:
 
 
 def test_ctrl_c_during_the_start_shows_no_traceback() -> None:
-    """From the first line of ours on; what is before that is Python's own."""
+    """From the first line of the package on; earlier tracebacks are Python's own."""
     program = (
         "import os, signal, sys, threading, time\n"
         "def interrupt():\n"
         "    while 'libmodbus_py.cli.output' not in sys.modules: pass\n"
         "    time.sleep(float(sys.argv[1])); os.kill(os.getpid(), signal.SIGINT)\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell may have it ignored
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell may ignore it
         "threading.Thread(target=interrupt, daemon=True).start()\n"
         "from libmodbus_py.cli.main import main\n"
         "sys.exit(main(['read', sys.argv[2], 'holding', '0']))"

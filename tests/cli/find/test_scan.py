@@ -207,5 +207,5 @@ def test_a_scan_shows_its_progress_on_a_terminal() -> None:
         output = printed.read()
     assert "of 20 asked, 0 found" in text
     assert "left at most\x1b[K" in text
-    assert "\r\x1b[K" in text  # it is gone before anything else is said
+    assert "\r\x1b[K" in text  # the line is removed before other output
     assert output == b""

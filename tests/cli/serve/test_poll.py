@@ -299,4 +299,4 @@ def test_an_output_that_accepts_nothing_is_named(tmp_path_factory, journal, path
     assert result.code == bool(message)
     assert message in result.err
     assert bool(result.err) == bool(message)
-    assert result.out.count("\n") == 2  # the other output got all
+    assert result.out.count("\n") == 2  # the other output got all readings

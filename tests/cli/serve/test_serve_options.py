@@ -181,7 +181,7 @@ def test_one_line_reports_the_result_of_all_files(name: str, pki: Pki, tmp_path:
     options = [] if name == "poll" else [f"--{key}={value}" for key, value in own.items()]
     audit = [] if name == "poll" else ["--audit", str(trail)]
     with Started(name, *arguments, file, *options, *audit, *INFO) as process:
-        process.stdout.readline()  # where it listens, or the first poll
+        process.stdout.readline()  # the first line: the URL, or the first poll
         files.key.write_bytes(certificates.server(days=30).key_pem())
         lines = []
         for _ in range(2):
