@@ -115,7 +115,7 @@ def test_a_client_that_waits_for_nothing_sets_no_alarm() -> None:
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 
 
-def test_another_event_loop_is_refused_in_words() -> None:
+def test_another_event_loop_is_refused() -> None:
     plc = AsyncClient("tcp://no-such-host.invalid")
 
     async def use() -> None:
@@ -147,7 +147,7 @@ def test_a_loop_that_was_closed_before_its_client_leaves_no_warning(pending, cap
     with FakeServer(lambda request: [echo(request)], lambda request: []) as server:
         plc: Any = AsyncClient(server.url)
         loop.run_until_complete(use())
-        plc._driver._alarm.cancel()  # which would be left behind
+        plc._driver._alarm.cancel()  # the timer would be left behind
         loop.close()
         plc.timeout = 0.5
         assert (plc.for_unit(2).timeout, plc.state) == (0.5, State.CONNECTED)

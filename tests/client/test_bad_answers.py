@@ -22,7 +22,7 @@ GOOD = b"\x03\x06\x02\x2b\x00\x00\x00\x64"
 VALUES = [555, 0, 100]
 TIMEOUT = 0.5
 
-# What a line needs for an answer of 100 bytes, and for its silences.
+# The time on a line for an answer of 100 bytes, and for its silences.
 ON_LINE = 0.03
 
 
@@ -75,10 +75,10 @@ BAD_TCP: dict[str, tuple[Answer, type[ModbusError]]] = {
     "nothing": (lambda request: [], ModbusTimeoutError),
     "random bytes": (lambda request: [b"\xde\xad\xbe\xef" * 5], FrameError),
 }
-# Those whose bytes answer another request than the one that was asked.
+# Those whose bytes would answer another request.
 ANOTHERS = {"other unit", "other transaction", "other function", "exception of another function"}
 
-# A frame of another protocol is skipped, and its request waits on.
+# A frame of another protocol is skipped, and the request still waits.
 WAITED_OUT = {"other protocol"} | {
     name for name, (_, error) in BAD_TCP.items() if error is ModbusTimeoutError
 }
@@ -277,7 +277,7 @@ STRAYS: dict[str, Callable[[bytes], bytes]] = {
 @pytest.mark.parametrize("pause", [0, 0.03])
 @pytest.mark.parametrize("stray", STRAYS)
 def test_noise_before_each_answer_on_a_line_is_dropped(stray, pause, world: World) -> None:
-    """A transceiver that turns round makes bytes; a pause is longer than the framer's silence."""
+    """Changing direction, a transceiver adds bytes; a pause is longer than the framer's silence."""
 
     def strayed(request: bytes, write: Write) -> None:
         write(STRAYS[stray](request) + (b"" if pause else answer(request, "rtu")))
@@ -289,7 +289,7 @@ def test_noise_before_each_answer_on_a_line_is_dropped(stray, pause, world: Worl
 
 
 def test_a_late_answer_during_a_request_does_not_fail_the_request(world: World) -> None:
-    """It comes while the second request after the one that was given up waits."""
+    """The answer comes while the second request after its own one waits."""
     owed = b""
 
     def late(request: bytes, write: Write) -> None:
@@ -331,7 +331,7 @@ def test_a_device_that_is_unit_255_is_reached_with_an_option(world: World) -> No
 
 
 def test_frames_that_came_between_two_requests_answer_neither(world: World) -> None:
-    """A program that was busy reads what nobody asked for before it asks."""
+    """A busy program drops unrequested frames before it sends a request."""
 
     def twice(request: bytes, write: Write) -> None:
         write(answer(request, "rtu+tcp"))
@@ -339,7 +339,7 @@ def test_frames_that_came_between_two_requests_answer_neither(world: World) -> N
 
     with world.client_of("rtu+tcp", twice, timeout=1.0) as client:
         client.connect()
-        world.compute(0.1)  # of the line nothing is known, and answers to others are over
+        world.compute(0.1)  # the line has no history, and answers to other programs are over
         for address in range(5):
             assert read(client, address) == address
             world.compute(0.1)

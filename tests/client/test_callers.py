@@ -1,4 +1,4 @@
-"""Callers in bytes and times: who is told what, who leaves, who is interrupted."""
+"""Callers in bytes and times: their outcomes, cancellations and interruptions."""
 
 import asyncio
 import errno
@@ -47,7 +47,7 @@ def test_the_logger_of_the_wire_has_the_same(caplog: pytest.LogCaptureFixture) -
 
 
 class Failing(pdu.ReadHoldingRegisters):
-    """A request class with a mistake in it, or one that a signal meets."""
+    """A request class that raises, by mistake or because of a signal."""
 
     __slots__ = ()
     error: BaseException
@@ -76,7 +76,7 @@ def test_an_exception_from_a_request_class_reaches_only_its_own_caller(url: str,
                     driver.come(answer(driver, at))
         assert (before.outcomes, after.outcomes) == ([[1]], [[5]])
         assert batch.outcomes[:2] == [[2], error]
-        assert batch.is_done  # nothing is tolerated but a ModbusError
+        assert batch.is_done  # only a ModbusError is tolerated
     assert driver.is_at_rest
 
 

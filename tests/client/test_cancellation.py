@@ -1,4 +1,4 @@
-"""Callers that leave, at any step of the loop, while they wait. Nobody else notices."""
+"""Callers that are cancelled, at any step of the loop, while they wait. Others are not affected."""
 
 import asyncio
 import contextlib
@@ -120,7 +120,7 @@ def test_thousands_of_waiting_requests_cost_few_comparisons_each(url, order, mon
 
 
 def test_a_cancelled_batch_leaves_other_requests_their_answers() -> None:
-    """Whatever the request waits for: the connection, its slot, its answer."""
+    """Whatever the request waits for: the connection, its slot or its answer."""
 
     async def main(peer: Scripted) -> None:
         for is_kept in (True, False):

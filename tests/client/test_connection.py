@@ -75,7 +75,7 @@ def test_after_three_timeouts_in_a_row_the_next_request_goes_over_a_new_connecti
 
 
 def test_a_host_that_never_answers_is_asked_over_and_over() -> None:
-    """Whoever polls a dead device behind a gateway finds it as soon as it is back."""
+    """Polls of a dead device behind a gateway succeed as soon as the device is back."""
     driver = Driver(timeout=1)
     for _ in range(20):
         batch = driver.ask(1)

@@ -205,7 +205,7 @@ def test_close_is_idempotent_and_final(world: World) -> None:
 
 @pytest.fixture(params=["an answer", "a connection", "a pause"])
 def somebody_waits(request: pytest.FixtureRequest, connect: Connect) -> Iterator[Any]:
-    """A client, and what asks it and waits for longer than a test may take."""
+    """A client, and a thread or task whose request lasts longer than a test may."""
     with contextlib.ExitStack() as stack:
         if request.param == "a connection":
             plc = connect(f"tcp://127.0.0.1:{stack.enter_context(mute_port())}", timeout=600)

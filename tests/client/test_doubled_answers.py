@@ -16,7 +16,7 @@ LINE = "rtu:///dev/nowhere?silence=0"
 
 
 def failures(client: Any, count: int) -> int:
-    """Read registers, and return how many reads failed: none may give another value."""
+    """Read registers, and return how many reads failed: no read may give a wrong value."""
     count_ = 0
     for address in range(1, count):
         try:
@@ -46,7 +46,7 @@ def test_no_value_is_that_of_another_request(world: World, scheme: str) -> None:
 
 @pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp", "rtu"])
 def test_a_copy_right_behind_each_answer_is_never_the_next_value(world: World, scheme: str) -> None:
-    """It is found by its equality, or while the one after it is held; then that request fails."""
+    """The copy is equal, or comes while the next answer is held; then that request fails."""
 
     def twice(request: bytes, write: Write) -> None:
         write(answer(request, scheme), after=0.01)
@@ -57,7 +57,7 @@ def test_a_copy_right_behind_each_answer_is_never_the_next_value(world: World, s
 
 
 def asked(driver: Driver, address: int, *answers: tuple[float, bytes]) -> object:
-    """Return the outcome of a read to which such answers come, each after so many seconds."""
+    """Return the outcome of a read with these answers, each after so many seconds."""
     driver.wait(0.05)
     batch, start = driver.ask(address), driver.now
     for delay, data in answers:
@@ -76,7 +76,7 @@ def warm() -> Driver:
 
 
 def test_equal_values_of_several_registers_are_accepted_after_the_first_time() -> None:
-    """Each is held the first time only."""
+    """Each value is held the first time only."""
     driver = warm()
     for addresses in ((50, 51, 52), (50, 51, 52)):
         for address in addresses:

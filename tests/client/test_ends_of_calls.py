@@ -23,7 +23,7 @@ from tests.support.urls import url_for
 
 PLACES_OF_SIGNALS = ("call", "c_call", "c_return")
 
-# What frames need to arrive, in seconds.
+# The seconds that frames need to arrive.
 SETTLED = 0.1
 
 ERRORS = [TimeoutError("its own"), MemoryError(), KeyboardInterrupt()]
@@ -77,7 +77,7 @@ def replying(scheme: str) -> Callable[[bytes, Write], object]:
 def struck(
     call: Callable[[], object], number: int, error: BaseException
 ) -> tuple[bool, BaseException | None]:
-    """Return whether a call had so many moments, and what it raised."""
+    """Return whether a call had so many moments, and the exception that it raised."""
     failure = None
     with Strike(number, error) as strike:
         try:
@@ -145,7 +145,7 @@ def test_nothing_is_sent_of_an_interrupted_call_on_a_real_port(scheme, error) ->
 
 
 def ended(loop: asyncio.AbstractEventLoop, tasks: list[asyncio.Task[Any]]) -> None:
-    """Run a loop until tasks are done, whatever else is raised there."""
+    """Run a loop until tasks are done, whatever other exceptions are raised there."""
     while not all(task.done() for task in tasks):
         with contextlib.suppress(SystemExit):
             loop.run_until_complete(asyncio.wait(tasks))

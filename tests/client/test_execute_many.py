@@ -170,7 +170,7 @@ def test_request_without_an_answer_times_out_alone(world: World) -> None:
 
 @pytest.mark.parametrize("again", ["one", "many"])
 def test_requests_left_after_a_failure_do_not_affect_later_ones(world: World, again: str) -> None:
-    """The first is refused; the other fifteen are answered when something else is asked."""
+    """The first is refused; answers to the other fifteen arrive during a later request."""
     late: list[bytes] = []
 
     def refused(requests: list[bytes], write: Write) -> None:
@@ -191,7 +191,7 @@ def test_requests_left_after_a_failure_do_not_affect_later_ones(world: World, ag
         peer.on_request = Gathered(world, refused)
         with pytest.raises(IllegalDataAddress):
             context.execute_many(reads(400))
-        assert len(late) == 16  # and nothing was sent after the refusal
+        assert len(late) == 16  # nothing was sent after the refusal
         if again == "one":
             assert context.read_holding_registers(900, 1) == [900]
         else:
@@ -202,7 +202,7 @@ def test_requests_left_after_a_failure_do_not_affect_later_ones(world: World, ag
 
 
 def test_first_failure_in_the_order_of_requests_is_raised_at_once(world: World) -> None:
-    """As soon as all before it are answered, whatever is not answered behind it."""
+    """As soon as all requests before it are answered, whatever follows."""
 
     def play(requests: list[bytes], write: Write) -> None:
         for request in (refusal(requests[5], 4), *map(echo, requests[6:])):

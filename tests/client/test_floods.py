@@ -1,4 +1,4 @@
-"""Peers that send without end: the wait ends when it must, and little is kept of what they sent."""
+"""Peers that send without end: the wait ends with the timeout, and few of the bytes are kept."""
 
 import contextlib
 import random
@@ -74,7 +74,7 @@ def test_a_flood_costs_neither_time_nor_memory(flood: str, world: World) -> None
         finally:
             tracemalloc.stop()
     assert size < 64 * 1024
-    assert most < 1024 * 1024  # what is looked at in one turn, and what the network itself keeps
+    assert most < 1024 * 1024  # the bytes read in one turn, and those that the network itself keeps
 
 
 @contextlib.contextmanager
@@ -107,7 +107,7 @@ def test_a_flood_without_pauses_ends_with_the_timeout(scheme: str, data: bytes, 
 @pytest.mark.parametrize("scheme", ["rtu", "ascii"])
 @pytest.mark.parametrize("pause", [0.001, 0.02])
 def test_a_line_that_is_never_silent_ends_the_wait_in_time(pause: float, scheme: str, world: World):
-    """From the first request on, and while it waits for the silence that must come before."""
+    """From the first request on, and while it waits for the silence before its frame."""
     noise = b"0123456789ABCDEF" if scheme == "ascii" else bytes(range(0x80, 0x90))
     with world.client_of(scheme, flooding(world.network, noise, pause), timeout=0.2) as client:
         for _ in range(3):
@@ -128,7 +128,7 @@ def test_a_line_that_is_never_silent_ends_the_wait_in_time(pause: float, scheme:
     ],
 )
 def test_an_idle_client_leaves_a_flood_in_the_system(scheme, data, pause, monkeypatch) -> None:
-    """An event loop that is told of each byte would do nothing else."""
+    """An event loop that handled each byte would do nothing else."""
     with (
         making("asyncio") as world,
         world.client_of(scheme, flooding(world.network, data, pause), timeout=0.1) as client,

@@ -198,7 +198,7 @@ def talking_to(device: Device, transport: str, **options: Any) -> Iterator[Clien
 
 @dataclass(frozen=True, slots=True)
 class Reverse(pdu.Request[bytes]):
-    """A count byte and that many bytes; they come back reversed."""
+    """A count byte and that many bytes, which are returned in reverse."""
 
     data: bytes
 

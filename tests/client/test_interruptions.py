@@ -23,12 +23,12 @@ from tests.support.signals import on_alarm
 
 
 class Interruption(BaseException):
-    """What a signal handler may raise."""
+    """An exception that a signal handler may raise."""
 
 
 @contextlib.contextmanager
 def connecting_here(kind: str) -> Iterator[Connect]:
-    """Yield what makes clients whose event loop, if they have one, runs in this thread."""
+    """Yield a function that makes clients; their event loop, if any, runs in this thread."""
     if kind == "asyncio":
         with asyncio.Runner() as runner:
             yield lambda url: Awaited(runner.run, AsyncClient(url))
@@ -158,7 +158,7 @@ class Finalized:
 
 @contextlib.contextmanager
 def other_process(scheme: str = "tcp") -> Iterator[str]:
-    """A server that no collector, signal or fork of this process reaches; gives its URL."""
+    """A server that no collector, signal or fork of this process reaches; return its URL."""
     command = [sys.executable, "-m", "libmodbus_py", "serve", f"{scheme}://127.0.0.1:0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -202,7 +202,7 @@ def test_close_and_requests_in_a_finalizer_during_a_request() -> None:
 # A socket that was just being made is closed when it is collected.
 @pytest.mark.filterwarnings("ignore:.*unclosed <socket.*")
 def test_ctrl_c_at_any_moment_fails_no_later_request(place: str) -> None:
-    """Each request that is not interrupted is right; none meets what an interrupted one left."""
+    """Each request that is not interrupted is right; no answer to an interrupted one is used."""
     with peer_at(place, on_read_at(place)) as peer, Client(peer.url, timeout=0.3) as context:
         interrupted = 0
         before = signal.signal(signal.SIGALRM, signal.default_int_handler)

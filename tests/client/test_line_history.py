@@ -1,4 +1,4 @@
-"""What is known of a line outlives its client; and a line of which nothing is known."""
+"""The history of a line outlives its client; and lines without a history."""
 
 import gc
 import os

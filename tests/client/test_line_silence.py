@@ -1,4 +1,4 @@
-"""How long a line is left alone after a failure, and what is kept of what comes meanwhile."""
+"""How long a line is silent after a failure, and which received bytes are kept meanwhile."""
 
 import math
 
@@ -12,7 +12,7 @@ from tests.support.replies import exchange, time_out
 
 
 def units(driver: Driver) -> list[int]:
-    """Return who was asked."""
+    """Return the units that were asked."""
     return [adu[0] for adu in driver.sent]
 
 
@@ -32,7 +32,7 @@ def test_a_late_answer_during_a_request_to_another_unit_restarts_the_silence() -
     driver.wait_until(1.5)
     driver.come(value(0, unit=1))
     driver.come(value(6, unit=2))
-    driver.wait(0.5)  # it took so much longer than before that it is held
+    driver.wait(0.5)  # the answer took so long that it is held
     assert other.outcomes == [[6]]
     again = driver.ask(7, unit=1)
     driver.wait_until(2.4)
@@ -208,13 +208,13 @@ def test_the_first_half_of_a_frame_is_not_joined_to_the_next_answer(half: str) -
     driver.wait(1.5)
     assert len(driver.sent) == 2
     driver.come(value(2))
-    driver.wait(1)  # what unit 1 owes is another request, so this answer is not believed
+    driver.wait(1)  # unit 1 owes another answer, so this one is not accepted
     assert kinds(batch) == [ModbusTimeoutError]
     exchange(driver, 2, after=1)
 
 
 def test_the_first_600_bytes_of_a_flood_are_kept() -> None:
-    """Of what comes in place of an answer."""
+    """Of the bytes received in place of an answer."""
     pieces = [bytes([0x80 + number]) * 250 for number in range(8)]
     start = b"".join(pieces)[:600]
     driver = Driver(LINE, timeout=1)

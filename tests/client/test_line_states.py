@@ -108,7 +108,7 @@ def repeating() -> Driver:
     driver.wait(1)
     hold(driver, driver.ask(2), 2)
     for number in range(100, 120):
-        driver.wait(1)  # each time it takes twice as long until an answer is checked again
+        driver.wait(1)  # the time until the next check doubles each time
         usual(driver, number)
     return driver
 
@@ -129,7 +129,7 @@ def test_asked_and_an_answer_equal_to_that_of_another_request_is_held_where_one_
 
 
 def test_asked_and_a_write_of_another_value_to_the_same_cells_is_the_result_at_once() -> None:
-    """Its answer contains no values; where answers came twice, too."""
+    """The answer contains no values; also where answers came twice."""
     driver = repeating()
     write = rtu("01 10 0007 0001")
     for number in (1, 2, 3):
@@ -137,7 +137,7 @@ def test_asked_and_a_write_of_another_value_to_the_same_cells_is_the_result_at_o
         driver.wait(0.01)
         driver.come(write)
         if number == 1:
-            driver.come(write)  # the second one, which nobody awaits
+            driver.come(write)  # the second answer, which has no request
         if number < 3:
             driver.wait(1)
     assert batch.outcomes == [None]
@@ -147,7 +147,7 @@ def test_asked_and_a_write_of_another_value_to_the_same_cells_is_the_result_at_o
     ("seconds", "is_held"), [(0.007, True), (0.008, False), (0.019, False), (0.021, True)]
 )
 def test_asked_and_an_answer_at_an_unusual_time_is_held(seconds: float, is_held: bool) -> None:
-    """Too soon, as a copy that comes while the next request is in flight; or too late."""
+    """Too soon, like a copy that comes during the next request; or too late."""
     driver = used()
     batch = driver.ask(5)
     driver.wait(seconds)
@@ -169,7 +169,7 @@ def test_asked_and_the_first_of_its_length_is_held_if_it_came_sooner_than_all_ot
 
 @pytest.mark.parametrize("data", [value(5)[:-1] + b"\0", rtu("01 03 04 0005 0006"), b""])
 def test_asked_and_a_failure_leads_to_doubt(data: bytes) -> None:
-    """A damaged answer, one that does not fit, none."""
+    """A damaged answer, one that does not fit, or none."""
     driver = used()
     batch = driver.ask(5)
     driver.come(data)
@@ -268,7 +268,7 @@ def test_hold_of_twice_the_slowest_answer_of_this_length_ends_the_doubt() -> Non
     driver.come(rtu("01 03 04 0005 0006"))
     driver.wait(0.6)
     assert slow.outcomes == [[5, 6]]
-    driver.wait(1)  # for a pause as long as twice the slowest tells nothing
+    driver.wait(1)  # a pause of twice the slowest answer proves nothing here
     driver.ask(5)
     driver.wait(2)
     hold(driver, driver.ask(6), 6)  # the slowest of this length took 10 ms
@@ -356,7 +356,7 @@ def test_doubt_and_bytes_of_other_units_do_not_restart_the_silence(data: str) ->
 
 
 def test_doubt_and_a_late_frame_of_its_unit_restarts_the_silence() -> None:
-    """The unit still works through earlier requests, which are of other functions, too."""
+    """The unit still works through earlier requests, also those of other functions."""
     driver = used()
     driver.ask(pdu.ReadInputRegisters(5, 1))
     driver.wait(1)
@@ -404,7 +404,7 @@ def test_an_answer_is_held_once_in_ten_timeouts() -> None:
     (value(6), True), (value(6), False), (value(7), True), (value(7), False),
 ])  # fmt: skip
 def test_a_frame_exactly_at_the_end_of_hold(frame: bytes, is_first: bool) -> None:
-    """HOLD lasts until its end: what is read before the alarm is in it, what is read later not."""
+    """Bytes read before the alarm are in HOLD, bytes read later are not."""
     driver = in_doubt()
     batch = driver.ask(6)
     driver.come(value(6))
@@ -463,7 +463,7 @@ def test_a_caller_that_is_cancelled_during_hold_leaves_doubt() -> None:
 
 @each_case("timeout", [0.001, 0.5, 86_400])
 def test_a_timeout_that_is_changed_ends_each_wait(timeout: float) -> None:
-    """In DOUBT, ASKED and HOLD; none of them becomes endless."""
+    """In DOUBT, ASKED and HOLD; no wait becomes infinite."""
     driver = used()
     driver.ask(5)
     driver.wait(1)
@@ -481,7 +481,7 @@ def test_a_timeout_that_is_changed_ends_each_wait(timeout: float) -> None:
 
 @each_case("url", [LINE, TCP])
 def test_a_clock_that_stands_still_makes_no_wait_infinite(url: str) -> None:
-    """Requests, answers and frames that nobody awaits, all at one moment."""
+    """Requests, answers and frames without a request, all at one time."""
     driver = Driver(url, timeout=1)
     for number in range(50):
         exchange(driver, number)
@@ -510,7 +510,7 @@ def test_a_shift_that_begins_with_a_slow_answer_ends_with_the_next_one() -> None
     driver.wait(0.98)
     driver.come(value(4))  # of a request long ago
     driver.wait(0.03)
-    assert late.outcomes == [[4]]  # HOLD would take until 1.96 s
+    assert late.outcomes == [[4]]  # without the limit HOLD would take until 1.96 s
     behind = driver.ask(6)
     driver.wait(0.01)
     driver.come(value(5))  # each answer comes one request too late

@@ -45,7 +45,7 @@ def confirmed_by_itself(driver: Driver) -> None:
 
 
 def taken_for_a_value(driver: Driver) -> None:
-    """Check that an answer which is equal to its request is its result."""
+    """Check that an answer equal to its request is the result."""
     batch = driver.ask(COILS)
     driver.come(driver.sent[-1])
     assert len(batch.outcomes[0]) == 24
@@ -70,7 +70,7 @@ def test_an_echo_is_logged_once_and_changes_no_read(world: World, scheme, stray,
 
 @pytest.mark.parametrize("setting", ["", "echo=1"])
 def test_no_echo_is_the_value_of_a_read(world: World, setting: str) -> None:
-    """Nothing but the echo comes, of a request that is a possible answer."""
+    """Only the echo comes, of a request that is a possible answer."""
     peer = world.peer("rtu", returning("rtu", answers=False))
     with world.connect(with_setting(peer.url, setting), timeout=0.1) as client:
         for request in (COILS, COILS, BOTH, COILS):
@@ -314,7 +314,7 @@ def test_with_echo_set_to_0_a_returned_write_is_its_answer() -> None:
         batch = driver.ask(number)
         driver.come(driver.sent[-1], value(number))
         driver.wait(0.1)
-        assert batch.outcomes == [[number]]  # what comes back is noise
+        assert batch.outcomes == [[number]]  # the returned frame is noise
     confirmed_by_itself(driver)
     taken_for_a_value(driver)
     assert driver.statistics.echoes == 0

@@ -118,7 +118,7 @@ def test_parts_of_several_registers_are_written_by_one_call(served: tuple[Device
 @pytest.mark.parametrize("served", [True], indirect=True)
 @pytest.mark.parametrize("at", range(10))
 def test_a_cancelled_write_of_parts_delays_no_other(served, at) -> None:
-    """At any trace of its frames: another task, or thread, may change registers then."""
+    """Cancelled at any trace of its frames: another task, or thread, may write registers then."""
     device_, url = served
     calls = iter(range(1000))
 

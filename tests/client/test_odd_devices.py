@@ -83,7 +83,7 @@ def test_no_late_answer_is_accepted_with_ids_ignore(world: World, scheme: str) -
 
 
 def closing(after: float) -> Any:
-    """Return what answers each read, and closes the connection so many seconds later."""
+    """Return a function that answers each read, and closes the connection so many seconds later."""
 
     def on_request(request: bytes, write: Write) -> None:
         write(answer(request, "tcp"))
@@ -94,7 +94,7 @@ def closing(after: float) -> Any:
 
 @pytest.mark.parametrize("after", [0.0, 0.0001, 0.05])
 def test_a_device_that_closes_after_each_answer_is_read_without_retries(world: World, after):
-    """The close comes when the next request is under way, and when none is."""
+    """The connection ends during the next request, and without one."""
     peer = world.peer("tcp", closing(after))
     with world.connect(peer.url, timeout=1) as plc:
         for at in range(30):

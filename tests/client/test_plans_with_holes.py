@@ -17,7 +17,7 @@ POINTS = RegisterMap(Point(f"p{at}", H, at) for at in range(20))
 
 
 class Meter:
-    """A device whose registers hold their addresses; what it lacks is refused with exception 2."""
+    """A device whose registers hold their addresses; missing ones are refused with exception 2."""
 
     def __init__(self, *missing: int) -> None:
         self.missing = set(missing)
@@ -65,7 +65,7 @@ def test_a_refused_register_costs_ten_requests_once(world: World) -> None:
         (hole,) = plc.unreadable(POINTS)
         assert (hole.name, hole.table, hole.cells) == ("p7", H, range(7, 8))
         assert hole.device == f"{plc.url}, unit {plc.unit}"
-        # Other names of the same map profit from it.
+        # The refusals are used for other names of the same map.
         results = plc.read_map(POINTS, ["p6", "p7", "p8"], return_exceptions=True)
         assert good(results) == {"p6": 6, "p8": 8}
         assert device.taken() == 2
@@ -117,7 +117,7 @@ def test_a_plan_keeps_the_refusals_of_each_device_apart(world: World) -> None:
         for _ in range(3):
             assert len(good(first.read_many(plan, return_exceptions=True))) == 19
             assert isinstance(second.read_many(plan, return_exceptions=True)["p11"], Exception)
-        # The same unit by another handle knows already, and another unit does not.
+        # Another handle of the unit has the refusals, and another unit does not.
         one.taken()
         first.for_unit(1).read_many(plan, return_exceptions=True)
         assert one.taken() == 2
@@ -138,7 +138,7 @@ def test_a_plan_keeps_the_refusals_of_each_device_apart(world: World) -> None:
 
 
 def test_another_client_has_no_refusals_of_the_first_one(world: World) -> None:
-    """A map and a plan are what they were, whatever one client was told."""
+    """A map and a plan do not change because of the answers to one client."""
     device = Meter(7)
     peer = world.peer("tcp", device)
     with world.connect(peer.url) as plc:

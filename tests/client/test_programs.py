@@ -10,7 +10,7 @@ from tests.support.clients import ALL
 from tests.support.peers import LinePeer, peer_at
 from tests.support.reads import on_read_at
 
-# Each is a program of its own, so that no thread of pytest is forked.
+# Each program is a process of its own, so that no thread of pytest is forked.
 pytestmark = pytest.mark.slow
 
 HEAD = """
@@ -46,7 +46,7 @@ reply = on_read_at(SCHEME)
 
 
 def ended(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run Python to its end."""
+    """Run Python to its end; return the output."""
     command = [sys.executable, *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=55, check=False)
 
@@ -292,7 +292,7 @@ def test_a_program_that_ends_with_open_clients_prints_nothing(warn: bool, how: s
 
 
 def test_a_port_with_the_settings_of_a_killed_program_is_opened() -> None:
-    """Its settings are those that are to be set, and a pseudo-terminal refuses one of them."""
+    """The port has these settings already, and a pseudo-terminal refuses one of them."""
     with LinePeer(on_read_at("rtu")) as unit:
         program = (
             "import os, sys, libmodbus_py as m\n"

@@ -42,7 +42,7 @@ def test_repetitions_keep_the_spacing_of_requests() -> None:
 
 
 def values(driver: Driver) -> list[int]:
-    """Return what the writes that were sent write."""
+    """Return the values of the writes that were sent."""
     at = 7 if driver.has_ids else 1
     return [int.from_bytes(adu[at + 3 : at + 5], "big") for adu in driver.sent if adu[at] == 6]
 
@@ -145,7 +145,7 @@ def test_repetitions_come_to_an_end(url: str, trouble: str) -> None:
             driver.reconnect()
         elif trouble == "invalid":
             driver.come(reply(driver, "04 02 0005"))
-            if url != TCP:  # there the answer may still come
+            if url != TCP:  # on TCP the answer may still come
                 driver.wait(1)
         else:
             driver.wait(1)

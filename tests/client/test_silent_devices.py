@@ -36,7 +36,7 @@ READS: list[Callable[[Any], dict[str, Any]]] = [
 
 
 def silent_about(*addresses: int) -> Callable[[bytes, Write], None]:
-    """Return what answers a read over TCP with its address, except those of some addresses."""
+    """Return a function that answers reads over TCP with their address, except for some."""
 
     def on_request(request: bytes, write: Write) -> None:
         if int.from_bytes(address_of(request, "tcp"), "big") not in addresses:
@@ -152,7 +152,7 @@ def made(max_pause: float = 30.0, **options: Any) -> Reconnecting:
 
 
 def fail(connection: Reconnecting, now: float) -> float:
-    """An attempt; gives the pause after it."""
+    """Note a failed attempt; return the pause after it."""
     connection.connecting()
     connection.failed(REFUSED, now)
     return connection.next_attempt - now

@@ -26,13 +26,13 @@ from tests.support.signals import in_child
 
 
 def assert_read(client: Any, address: int) -> None:
-    """Check that a register gives its address."""
+    """Check that a register has its address as value."""
     assert client.read_holding_registers(address, 1) == [address]
 
 
 @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 def test_a_child_sends_nothing_of_what_its_parent_asks() -> None:
-    """The fork comes while another thread writes many things one after the other."""
+    """The fork happens while another thread sends many writes one after the other."""
     heads: list[bytes] = []
     halfway = threading.Event()
 
@@ -227,7 +227,7 @@ def test_a_client_forgotten_while_it_connects_leaves_nothing() -> None:
             await asyncio.wait([task])
             del client, task
             gc.collect()
-        async with AsyncClient(server.url) as last:  # those before it are accepted
+        async with AsyncClient(server.url) as last:  # requests before it are accepted
             assert await last.read_holding_registers(1, 1) == [1]
         until(lambda: not server._peers)
 

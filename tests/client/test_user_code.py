@@ -30,7 +30,7 @@ each_scheme = pytest.mark.parametrize("scheme", CONNECTING)
 
 
 class Mistake(Exception):
-    """What a request class raises that its author did not mean to."""
+    """An exception that a request class raises by mistake."""
 
 
 def fail(*_: object) -> Any:
@@ -46,7 +46,7 @@ def with_mistake(name: str) -> pdu.ReadHoldingRegisters:
 
 
 def replying(scheme: str, outcome: str) -> OnRequest:
-    """Return what answers all reads, but one of register 5 in another way."""
+    """Return a function that answers all reads, and that of register 5 in another way."""
     around = 7 if has_header(scheme) else 1
 
     def reply(request: bytes, write: Write) -> None:
@@ -62,7 +62,7 @@ def replying(scheme: str, outcome: str) -> OnRequest:
 
 
 def outcome_of(call: Callable[[], object]) -> object:
-    """Return what a call returns or raises."""
+    """Return the result of a call, or its exception."""
     try:
         return call()
     except Exception as error:
@@ -183,7 +183,7 @@ def test_a_trace_of_a_request_comes_before_its_answer(world: World) -> None:
 
 
 def submitting(act: Callable[[AsyncClient, list[Any]], object]) -> list[Any]:
-    """Submit two reads, the first with an `on_done` of the test; return what was told."""
+    """Submit two reads, the first with an `on_done` of the test; return the outcomes."""
     outcomes: list[Any] = []
 
     async def use(plc: AsyncClient, _: Scripted) -> None:

@@ -186,7 +186,7 @@ def test_a_watch_ends_when_the_client_is_closed(wall: Wall) -> None:
 
 
 def in_a_loop(use: Callable[[AsyncClient, Any], Awaitable[None]], every: float) -> None:
-    """Run a test with a client and its watch, which has given its first values."""
+    """Run a test with a client and its watch, which has returned its first values."""
 
     async def begun(plc: AsyncClient, _: Scripted) -> None:
         watching = plc.watch(METER, every=every)

@@ -32,7 +32,7 @@ POINTS = RegisterMap(
 
 
 def knowing(*functions: int) -> OnRequest:
-    """Return what carries out these functions, and refuses all others as a small device does."""
+    """Return a device that executes these functions, and refuses others as small devices do."""
 
     def on_request(request: bytes, write: Write) -> None:
         function = request[7]
@@ -54,7 +54,7 @@ def sent(peer: Any) -> list[str]:
 
 RUN, VALUES = {"run": True}, {"setpoint": 0.7, "energy": 0x10002}
 
-# The option, the functions that the device has, what is written, and what is sent.
+# The option, the functions of the device, the values, and the requests.
 WRITES: list[tuple[str, tuple[int, ...], dict[str, Any], list[str]]] = [
     ("single", SINGLE, RUN, ["050000ff00"]),
     ("single", SINGLE, VALUES, ["0600030007", "0600040001", "0600050002"]),
@@ -140,7 +140,7 @@ REFUSED, REFUSAL = "03 0009 0001", "83 02"
 
 
 class WideCount(pdu.Request[bytes]):
-    """Function 3, whose answers have such a count; the program does not register it."""
+    """Function 3, whose answers have a count of two bytes; the program does not register it."""
 
     function: ClassVar[int] = 3
     request_length = pdu.fixed(5)

@@ -20,7 +20,7 @@ from tests.support.reads import reads
 from tests.support.tls_clients import LONG, SOON, Serving, Talking, descriptors
 from tests.support.tls_peers import HANDSHAKE, Peer, Relay, Sealed, TlsServer
 
-# Of a flood that a client gives up: what it read, and what the system holds.
+# Bytes of a flood up to the end of a request: those read, and those in the system.
 MUCH = 30_000_000
 
 

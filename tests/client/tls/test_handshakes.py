@@ -112,7 +112,7 @@ def test_a_client_works_after_ctrl_c_in_the_handshake(pki: Pki, serving: Serving
 
 
 def test_cancelling_each_await_of_a_handshake_leaves_nothing(pki: Pki) -> None:
-    """No descriptor is left, no task, and what is opened next in its place is heard."""
+    """No descriptor or task is left, and a descriptor that reuses the number works."""
 
     def bytewise(data: bytes) -> Iterator[bytes]:
         for at in range(0, len(data), 40):

@@ -1,4 +1,4 @@
-"""What goes over a connection of TLS, in whatever records, and how it ends."""
+"""The records of a TLS connection, and how it ends."""
 
 import socket
 import threading
@@ -156,7 +156,7 @@ def test_an_answer_and_a_close_notify_together_are_received(talking: Talking) ->
     event = threading.Event()
 
     def script(peer: Peer) -> None:
-        if event.is_set():  # the others are sent once more
+        if event.is_set():  # the other requests are repeated
             assert len([peer.request() for _ in range(3)]) == 3
             return
         requests = [peer.request() for _ in range(4)]

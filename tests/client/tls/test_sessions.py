@@ -20,13 +20,13 @@ from tests.support.tls_peers import Peer, Relay, TlsServer
 
 
 def once(peer: Peer) -> None:
-    """Answer one request, and say goodbye."""
+    """Answer one request, and send close notify."""
     peer.answer()
     peer.sock.sendall(peer.end())
 
 
 def abruptly(peer: Peer) -> None:
-    """Answer one request, and go without a word."""
+    """Answer one request, and close without close notify."""
     peer.answer()
 
 
@@ -160,7 +160,7 @@ def test_refusals_of_a_context_are_named(pki: Pki, connect: Connect) -> None:
 
 
 def test_a_refusal_with_an_ssl_context_names_no_certificate(pki: Pki, connect: Connect) -> None:
-    """No context says which one it shows."""
+    """An SSLContext does not name its certificate."""
     security = GivenContext(context(pki))
     with (
         Server(Device(Mapping()), security=pki.server()).background("tls://127.0.0.1:0") as at,

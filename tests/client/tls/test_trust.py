@@ -37,7 +37,7 @@ def ask(connect: Connect, url: str, security: Any, until: threading.Event | None
 
 
 def refusal(connect: Connect, server: TlsServer, security: Any) -> Any:
-    """Connect in vain; nothing of Modbus may go out, and nobody is asked twice."""
+    """Fail to connect; no Modbus frame may be sent, and no password asked for."""
     requests: list[bytes] = []
     server.script = lambda peer: requests.append(peer.read())
     with pytest.raises(ModbusConnectionError) as caught:
@@ -214,7 +214,7 @@ def refusing(context: ssl.SSLContext, is_abrupt: bool, sock: socket.socket) -> N
 
 
 def test_a_refusal_before_a_reset_is_named(connect: Connect, pki: Pki, serving: Serving):
-    """The request finds the connection gone; what the server said before is still to be read."""
+    """The connection is gone at the request; the server's earlier message is still to be read."""
     own = certificates.client(issuer=foreign_authority())
     event = threading.Event()
 
