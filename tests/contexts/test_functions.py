@@ -53,7 +53,7 @@ CALLS: dict[int, Callable[[AnyContext, Any], object]] = {
 
 
 def outcome(act: Callable[[], object]) -> object:
-    """Return what an action returns, or the code of the exception with which it is refused."""
+    """Return the result of an action, or the code of its exception."""
     try:
         return act()
     except ExceptionResponse as refusal:

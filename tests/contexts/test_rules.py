@@ -415,7 +415,7 @@ def test_a_line_is_opened_with_the_settings_of_its_arguments() -> None:
             assert termios.tcgetattr(context.socket)[4] not in (termios.B9600, termios.B2400)
 
 
-# Any, so that arguments may be wrong.
+# Any, so that arguments of wrong types can be passed.
 tcp: Any = TcpContext
 rtu: Any = RtuContext
 
