@@ -1,4 +1,4 @@
-"""What each request touches, as hooks are told of it, and what hooks may refuse or change."""
+"""The accesses of each request, as hooks get them, and what hooks may refuse or change."""
 
 import threading
 from collections.abc import Callable
@@ -20,7 +20,7 @@ def seen_as(table: str, address: int, count: int, *values: Any, file: int = 0) -
     return Access(table, address, count, values, file, CALLER.unit, CALLER.peer)
 
 
-# Request, what it writes, what it reads; 250 holds 12h.
+# Request, written and read cells; register 250 has the value 12h.
 TOUCHES: list[tuple[pdu.Request[Any], list[Access], list[Access]]] = [
     (pdu.ReadCoils(10, 3), [], [seen_as("coils", 10, 3)]),
     (pdu.ReadDiscreteInputs(20, 9), [], [seen_as("discrete_inputs", 20, 9)]),
@@ -52,7 +52,7 @@ TOUCHES: list[tuple[pdu.Request[Any], list[Access], list[Access]]] = [
 WRITES = [request for request, writes, _ in TOUCHES if writes]
 READS = [request for request, _, reads in TOUCHES if reads]
 UNTOUCHING = [example for example in EXAMPLES if example.function in (7, 8, 11, 12, 17, 43)]
-# Bodies that touch something, but not all of it exists: exception 2.
+# Requests of which some addresses do not exist: exception 2.
 BEYOND = [
     pdu.ReadCoils(9, 2),
     pdu.ReadDiscreteInputs(2099, 2),
@@ -83,7 +83,7 @@ def hooked_device(**hooks: Callable[[Access], object]) -> Device:
 
 
 class Recorder:
-    """Three hooks that note what they are told, and what the device holds then."""
+    """Three hooks that record their accesses, and the values of the device then."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[str, Access]] = []
@@ -260,7 +260,7 @@ class TestHooks:
 
         def before(access: Access) -> None:
             inside.set()
-            assert not outside.wait(0.02)  # the other one waits for the lock
+            assert not outside.wait(0.02)  # the other thread waits for the lock
             order.append("hook")
 
         device = hooked_device(before_write=before)

@@ -18,7 +18,7 @@ CLASSES = {*pdu.REQUESTS.values(), pdu.ReadDeviceIdentification}
 
 
 class Tables:
-    """A device whose every table, file, queue and function answers, and what was done to it."""
+    """A device whose every table, file, queue and function answers; `done` records the calls."""
 
     def __init__(self, authorize: Any, **hooks: Any) -> None:
         self.done: list[object] = []
@@ -52,7 +52,7 @@ def denying(requests: list[ClientRequest]) -> Any:
 
 
 def test_there_is_an_example_of_each_class() -> None:
-    """Else the next tests would leave one out."""
+    """Otherwise the next tests would leave a class out."""
     assert {type(request) for request in REQUEST_OBJECTS} == CLASSES | {pdu.RawRequest}
 
 
@@ -155,7 +155,7 @@ def test_authorize_is_called_for_each_request() -> None:
         (pdu.WriteRegister(50, 1).encode(), 2),
         (pdu.ReadFileRecords(((9, 1, 2),)).encode(), 2),
         (pdu.ReadFifoQueue(5).encode(), 2),
-        (b"\x2b\x0e\x04\x77", 2),  # an object that is not there
+        (b"\x2b\x0e\x04\x77", 2),  # a missing object
         (b"\x03\x00\x00\x00\x7e", 3),  # 126 registers
         (b"\x03\x00\x00\x00", 3),
         (b"\x05\x00\x00\x12\x34", 3),  # neither on nor off

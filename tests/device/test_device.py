@@ -18,7 +18,7 @@ class TestWorkedExamples:
         rows([vector for vector in RESPONSES if vector.request and vector.function in KNOWN]),
     )
     def test_answer_is_that_of_the_example(self, vector: FrameVector) -> None:
-        """On a device that holds what the example's response says."""
+        """On a device with the values of the example's response."""
         (request,) = (request for request in REQUESTS if request.id == vector.request)
         mapping = Mapping(*[65536] * 4)
         device = Device(mapping, files={3: range(20), 4: range(20)})
@@ -135,7 +135,7 @@ class TestBroadcasts:
 
 
 class TestTwoDevices:
-    """All state is the device's own, and none is a module's or a class's."""
+    """All state belongs to a device, and none to a module or class."""
 
     def test_identification_status_identifier_and_register(self) -> None:
         first = Device(Mapping(), identification={0: "first"}, exception_status=1)

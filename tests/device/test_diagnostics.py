@@ -79,7 +79,7 @@ class TestDiagnostics:
 
     @both_lines
     def test_unknown_and_reserved_sub_functions_are_illegal(self, serial: bool) -> None:
-        """Before their data are looked at."""
+        """Before their data are checked."""
         for sub_function in RESERVED:
             for data in (b"\0\0", b"\0\1", b"\xff\xff"):
                 answer = diagnose(new_device(), sub_function, data, caller_on(serial))

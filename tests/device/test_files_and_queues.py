@@ -65,7 +65,7 @@ class TestFiles:
                 Device(bad)  # type: ignore[arg-type]
 
 
-def test_wrong_files_are_refused_in_words(refused: Refused) -> None:
+def test_wrong_files_are_refused_with_a_reason(refused: Refused) -> None:
     refused("wrong_files.txt", lambda files: Device(Mapping(), files=files))
 
 
@@ -106,7 +106,7 @@ class TestQueues:
         for address in (0, 6, 8, 65535):
             assert device.answer(b"\x18" + words(address)) == b"\x98\2"
         assert new_device().answer(b"\x18\0\0") == b"\x98\2"
-        assert device.answer(b"\x18\0\7\0") == b"\x98\3"  # the length comes first
+        assert device.answer(b"\x18\0\7\0") == b"\x98\3"  # the length is checked first
 
     @pytest.mark.parametrize(
         ("fifos", "error"),
@@ -122,6 +122,6 @@ class TestQueues:
     ("fifos", "message"),
     [({1: 5}, r"fifos\[1\] must be a list of registers, not 5"), ([1], "fifos must be {pointer ")],
 )
-def test_wrong_queues_are_refused_in_words(fifos: Any, message: str) -> None:
+def test_wrong_queues_are_refused_with_a_reason(fifos: Any, message: str) -> None:
     with pytest.raises(TypeError, match=message):
         Device(Mapping(), fifos=fifos)

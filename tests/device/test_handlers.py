@@ -137,7 +137,7 @@ class TestFailures:
         assert len(caplog.records) == 1
 
     def test_an_answer_left_in_the_socketpair_is_not_sent_to_the_next_request(self) -> None:
-        """libmodbus replies, and what it sent cannot be received."""
+        """libmodbus replies, and its reply cannot be received."""
         device = new_device()
         device.mapping.holding_registers[100:102] = [1, 2]
         answers: list[bytes] = []
@@ -149,7 +149,7 @@ class TestFailures:
             assert own.struct.outlet != -1, outlet
             answers.extend(device.answer(b"\x03" + words(address, 1)) for address in (101, 100))
 
-        thread = threading.Thread(target=work)  # which has a replier of its own
+        thread = threading.Thread(target=work)  # the thread has a replier of its own
         thread.start()
         thread.join()
         assert answers == [b"\x83\x04", b"\x03\2\0\2", b"\x03\2\0\1"]

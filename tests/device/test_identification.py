@@ -64,7 +64,7 @@ class TestIdentification:
         ids=str,
     )
     def test_the_conformity_level_follows_from_the_objects(self, objects, conformity) -> None:
-        """Whatever is asked for, and the code comes back as it was asked."""
+        """Whatever code is requested; the response repeats the requested code."""
         device = Device(Mapping(), identification=objects)
         for code in (1, 2, 3, 4):
             assert device.answer(page(code))[:4] == bytes([0x2B, 0x0E, code, conformity])

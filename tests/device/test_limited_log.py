@@ -29,7 +29,7 @@ def test_each_reason_is_logged_up_to_a_limit_of_lines(log: LimitedLog, clock: Cl
     assert len(caplog.messages) == MAX_REASONS + 1
     clock.now += 60
     log.warning("refused: %s", "again", reason="another one")
-    # What was counted for all others, then the new one, for which there is room.
+    # The count of all other reasons, then the new one, for which there is room.
     assert caplog.messages[MAX_REASONS + 1 :] == [
         f"refused: {10 * MAX_REASONS - 1}; {9 * MAX_REASONS - 1} since the last line like this",
         "refused: again",

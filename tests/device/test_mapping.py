@@ -1,4 +1,4 @@
-"""The four tables: what goes in and comes out, who may hold on to them, and what they cost."""
+"""The four tables: values that are set and read, references to them, and their memory."""
 
 import gc
 import subprocess
@@ -409,7 +409,7 @@ class TestViews:
         view = getattr(mapping, name).view
         del mapping
         gc.collect()
-        others = [table(name, 65536) for _ in range(5)]  # would take the freed memory
+        others = [table(name, 65536) for _ in range(5)]  # other tables would take the freed memory
         for other in others:
             other[:] = [1] * 65536
         assert view[7] == 1

@@ -58,7 +58,7 @@ REQUESTS: list[tuple[pdu.Request[Any], int]] = [
     (pdu.WriteRegisters(0, [3, 1]), 0),  # 30 at a scale of 10
     (pdu.WriteRegisters(0, [3, 1, 0]), 0),
     (pdu.WriteRegisters(0, [3, 1, 1]), 3),  # the limit is the factor, 200
-    (pdu.WriteRegisters(0, [20, 0x8000]), 3),  # a scale that means none
+    (pdu.WriteRegisters(0, [20, 0x8000]), 3),  # a scale without a valid value
     (pdu.WriteRegisters(0, [20, 300]), 3),  # 10 to the power of 300
     (pdu.WriteRegister(2, 50), 0),
     (pdu.WriteRegister(2, 51), 3),

@@ -176,7 +176,7 @@ RUNS: list[tuple[dict[str, Any], str]] = [
 
 @each_case(("unit", "message"), RUNS)
 def test_wrong_values_are_refused(unit: dict[str, Any], message: str, tmp_path: Path) -> None:
-    """Although there are good ones before them, no value is set."""
+    """No value is set, although valid values come before the wrong one."""
     good = {"input_registers": {"7": [9]}}
     refused(tmp_path, text_of({"every": good | unit}), f"(units.every.)?{message}")
 

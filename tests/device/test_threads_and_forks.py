@@ -28,7 +28,7 @@ def quick_switches() -> Iterator[None]:
 class TestThreads:
     @pytest.mark.parametrize("devices", [1, 4])
     def test_threads_get_their_own_answers(self, devices: int, quick_switches: None) -> None:
-        """Of one device, whose lock they share, and of their own, where no lock helps."""
+        """Requests to one device with a lock, and to the thread's own devices without one."""
         devices_ = [new_device() for _ in range(devices)]
         wrong: list[Any] = []
 
