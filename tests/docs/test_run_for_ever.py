@@ -15,7 +15,7 @@ from tests.docs.documents import ROOT, blocks
 
 PAGE = ROOT / "docs" / "how-to" / "run-for-ever.md"
 
-randrange = SystemRandom().randrange  # tests may seed the usual one
+randrange = SystemRandom().randrange  # tests may seed the usual generator
 
 # At an address of this process alone, so that nobody else takes the port while nothing listens. At
 # random: containers that share a network have processes of the same number.

@@ -25,7 +25,7 @@ NAMED = re.findall(r"^\| `(.*?)` \|", PAGE, re.MULTILINE)
 ANSWER = "11 03 06 022B 0000 0064"  # registers 555, 0 and 100 of unit 17
 GOOD, LATE = rtu(ANSWER), rtu("11 03 06 0001 0000 0064")
 
-# What came -> what the client says of it.
+# Received bytes -> the error of the client.
 Came = Callable[[bytes], bytes]
 RTU: dict[str, Came] = {
     "no answer within 0.3 s": lambda request: b"",
