@@ -36,7 +36,7 @@ Ask = Callable[[str], bytes]
 
 
 def server() -> Server:
-    """Return one whose registers hold their addresses."""
+    """Return a server whose registers hold their addresses."""
     mapping = Mapping(holding_registers=10)
     mapping.holding_registers[:] = range(10)
     return Server({1: Device(mapping)})
@@ -85,7 +85,7 @@ def secured(pki: Pki) -> Ask:
 def ask_while_failing(
     trial: Trial, background: AbstractContextManager[Any], ask: Ask, answer: bytes
 ) -> None:
-    """Begin to serve and end it while calls fail; in between the answer must come."""
+    """Begin to serve and end it while calls fail; in between, a request must be answered."""
     with contextlib.ExitStack() as stack:
         running = None
         with trial.faults(RuntimeError):
@@ -103,7 +103,7 @@ def serving(url: str, ask: Ask, answer: bytes, make: Callable[[], Server] = serv
 
     def scenario(trial: Trial) -> None:
         ask_while_failing(trial, make().background(url), ask, answer)
-        with make().background(url) as again:  # nothing holds the address any more
+        with make().background(url) as again:  # no socket keeps the address
             assert again.urls
 
     return scenario

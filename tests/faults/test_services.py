@@ -118,7 +118,7 @@ def test_a_fleet_continues_after_errors_of_the_system(tmp_path: Path) -> None:
 
 
 def hearing(url: str, between: str | None, say: Callable[[str], None]) -> Scenario:
-    """Listen to one transaction while calls fail, and to another when they do not any more."""
+    """Listen to one transaction while calls fail, and to another one afterwards."""
 
     def scenario(trial: Trial) -> None:
         with contextlib.ExitStack() as stack:
@@ -165,7 +165,7 @@ def test_a_tap_continues_after_errors_of_the_system() -> None:
 
 
 def got(url: str, path: str, until: bytes) -> bytes:
-    """Return what comes for a request, up to some bytes in it."""
+    """Return the bytes received for a request, up to some bytes in them."""
     where, _, token = url.partition("?")
     host, _, port = where.removeprefix("http://").strip("/").rpartition(":")
     answer = b""
@@ -208,7 +208,7 @@ def test_pages_continue_after_errors_of_the_system(monkeypatch: pytest.MonkeyPat
 
 
 def unit(request: bytes) -> list[bytes]:
-    """Answer reads of holding registers, and all else with exception 1."""
+    """Answer reads of holding registers, and all other requests with exception 1."""
     if request[1] == 3:
         return on_line(request)
     body = bytes([request[0], request[1] | 0x80, 1])
