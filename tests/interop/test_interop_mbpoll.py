@@ -36,7 +36,7 @@ Polled = subprocess.CompletedProcess[str]
 def mbpoll(
     end: Endpoint, table: int, first: int, *, count: int | None = None, write: tuple[int, ...] = ()
 ) -> Polled:
-    """Run it once, with addresses from 0 on."""
+    """Run mbpoll once, with addresses from 0 on."""
     if end.transport == "tcp":
         line, where = ["-m", "tcp", "-p", end.port], end.host
     else:
@@ -54,7 +54,7 @@ def mbpoll(
 
 
 def printed_values(process: Polled) -> dict[int, int]:
-    """Read its lines like "[100]: 65535 (-1)"."""
+    """Read the lines of mbpoll, such as "[100]: 65535 (-1)"."""
     lines = re.findall(r"^\[(\d+)\]:\s+(\d+)", process.stdout, re.MULTILINE)
     return {int(address): int(value) for address, value in lines}
 

@@ -64,7 +64,7 @@ def asking(transport: str, device: Device | None = None, timeout: float = TIMEOU
 
 
 class Asked(NamedTuple):
-    """One request of pymodbus's client, and what our device has to say to it."""
+    """One request of pymodbus's client, and the expected answer of our device."""
 
     function: int
     name: str
@@ -80,7 +80,7 @@ message, registers = attrgetter("message"), attrgetter("registers")
 
 
 def bits(count: int) -> Callable[[Any], list[bool]]:
-    """It gives whole bytes of bits; what is beyond the count means nothing."""
+    """pymodbus returns whole bytes of bits; those beyond the count are ignored."""
     return lambda response: response.bits[:count]
 
 
@@ -242,7 +242,7 @@ def asked_beside_the_tables() -> Iterator[Asked]:
 
 
 class Unknown(ModbusPDU):
-    """A request of any code; it has no other way to send one."""
+    """A request of any code; pymodbus can send one in no other way."""
 
     def __init__(self, function: int) -> None:
         super().__init__(dev_id=UNIT)
@@ -389,7 +389,7 @@ def test_pymodbus_client_silences_our_device_and_wakes_it(transport: str) -> Non
         assert client.diag_force_listen_only(device_id=UNIT) is None
         with pytest.raises(ModbusIOException):
             client.read_coils(12, device_id=UNIT)
-        # The restart is silence, too, and the way out.
+        # The restart has no answer either, and ends the mode.
         assert client.execute(True, RestartCommunicationsOptionRequest(0, dev_id=UNIT)) is None
         client.comm_params.timeout_connect = TIMEOUT
         assert client.read_coils(12, device_id=UNIT).bits[0] is True
@@ -421,9 +421,9 @@ class TestWherePymodbusClientErrs:
             pytest.param(code, ask, id=case_id("pymodbus", "server", code, function, "pinned"))
             for code in ON_RTU
             for function, ask in (
-                # It counts two bytes too few, and then finds no CRC.
+                # pymodbus counts two bytes too few, and then finds no CRC.
                 (24, lambda client: client.read_fifo_queue(address=100, device_id=UNIT)),
-                # It takes every message of function 8 for 8 bytes.
+                # pymodbus takes every message of function 8 for 8 bytes.
                 (8, lambda client: client.diag_query_data(b"abcd", device_id=UNIT)),
             )
         ],

@@ -63,7 +63,7 @@ def pymodbus_server(transport: str, **options: Any) -> Iterator[Client]:
 
 
 def exchanges_beside_the_tables() -> Iterator[Exchange]:
-    """Its counters, log and register are always 0, for nothing in it counts."""
+    """The counters, log and register of pymodbus are always 0."""
     yield Exchange(7, "status", lambda c: c.read_exception_status(), 0)
     yield Exchange(8, "query", lambda c: c.diagnostics(0, 0xA537), 0xA537)
     yield Exchange(8, "restart", lambda c: c.diagnostics(1, 0xFF00), 0xFF00)
@@ -72,7 +72,7 @@ def exchanges_beside_the_tables() -> Iterator[Exchange]:
         yield Exchange(8, name, lambda c, sub_function=sub_function: c.diagnostics(sub_function), 0)
     yield Exchange(11, "counter", lambda c: c.read_comm_event_counter(), (0, 0))
     yield Exchange(12, "log", lambda c: c.read_comm_event_log(), (0, 0, 0, b""))
-    # The same four registers, whatever is asked for; it has no queues.
+    # The same four registers for any address; pymodbus has no queues.
     yield Exchange(24, "pinned", lambda c: c.read_fifo_queue(65535), [0, 1, 2, 3])
     # The identifier should come first and the run indicator next; it has them the other
     # way round, and no end that one could find.
@@ -208,7 +208,7 @@ class TestWherePymodbusServerErrs:
 
     @over("client", 8, "pinned", "long", transports=ON_RTU)
     def test_pymodbus_loses_query_data_of_more_than_a_word(self, transport: str) -> None:
-        # It takes every message of function 8 for 8 bytes.
+        # pymodbus takes every message of function 8 for 8 bytes.
         with pymodbus_server(transport, timeout=0.2) as context, pytest.raises(ModbusTimeoutError):
             context.execute(pdu.Diagnostics(0, b"abcd"))
 
@@ -229,7 +229,7 @@ class TestWherePymodbusServerErrs:
         ],
     )
     def test_pymodbus_refuses_or_ignores_canopen(self, transport, error) -> None:
-        # On RTU it has no length for it, and waits.
+        # On RTU pymodbus has no length for this function, and waits.
         with (
             pymodbus_server(transport, timeout=UNHEARD[transport]) as context,
             pytest.raises(error),

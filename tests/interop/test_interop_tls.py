@@ -197,7 +197,7 @@ def test_pymodbus_asyncio_client_has_many_requests_in_flight(pki: Pki) -> None:
         answers = await asyncio.gather(*reads)
         transport = client.ctx.transport
         client.close()
-        transport.abort()  # else it waits for our last word, and the loop may be gone before
+        transport.abort()  # otherwise it waits for our close notify after the loop has closed
         return [answer.bits[:8] for answer in answers]
 
     with our_tls_server(pki, {UNIT: make_device()}) as wire:
@@ -207,10 +207,10 @@ def test_pymodbus_asyncio_client_has_many_requests_in_flight(pki: Pki) -> None:
 def test_pymodbus_client_without_a_certificate_gets_no_answer(pki: Pki) -> None:
     with our_tls_server(pki, {UNIT: make_device()}) as wire:
         context_ = context(pki)
-        context_.check_hostname = False  # its blocking client does not tell ssl whom it wants
+        context_.check_hostname = False  # pymodbus does not pass the host to ssl
         client = ModbusTlsClient("127.0.0.1", port=wire.port, sslctx=context_, timeout=1, retries=0)
         try:
-            assert client.connect()  # TLS 1.3: the refusal comes behind its handshake
+            assert client.connect()  # TLS 1.3: the refusal follows the handshake
             with pytest.raises((ssl.SSLError, OSError)):
                 client.read_coils(12, device_id=UNIT)
         finally:

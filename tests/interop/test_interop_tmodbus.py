@@ -36,7 +36,7 @@ tmodbus = pytest.importorskip("tmodbus", reason="tmodbus needs Python 3.12")
 VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
 
 
-# Function -> what is asked, and the answer; None where there is none to look at.
+# Function -> the call, and its result; None without a result.
 ASKED: dict[int, tuple[Any, Any]] = {
     1: (lambda c: c.read_coils(12, 3), cells(coil, 12, 3)),
     2: (lambda c: c.read_discrete_inputs(20, 9), [number % 5 < 2 for number in range(20, 29)]),
@@ -81,7 +81,7 @@ def test_a_tmodbus_client_and_our_server_agree(pki: Pki, function: int, version:
 
 @contextlib.contextmanager
 def its_server(pki: Pki, roles: list[str | None]) -> Iterator[int]:
-    """It answers reads with their addresses to an operator, and refuses all others."""
+    """A tmodbus server that answers an operator's reads with their addresses, and no others."""
     from tmodbus.exceptions import IllegalFunctionError
     from tmodbus.pdu import ReadHoldingRegistersPDU, WriteMultipleRegistersPDU
     from tmodbus.server import AsyncTcpServer, ModbusRequestRouter
