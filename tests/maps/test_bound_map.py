@@ -76,7 +76,7 @@ def test_a_failed_read_leaves_all_values_as_they_were() -> None:
 
 
 class NoClient:
-    """Answers nothing, and must not be asked."""
+    """An object that is no client, and must not be used."""
 
     def read_map(self, *_: Any, **__: Any) -> Any:
         raise AssertionError

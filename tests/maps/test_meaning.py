@@ -50,7 +50,7 @@ def test_the_sunspec_value_not_implemented_decodes_to_no_value(type: str, cells:
     assert point_.decode([0x4100] + [0x4101] * (len(cells) - 1)) is not None
 
 
-# Keys of a point, its cells, and what they mean.
+# The arguments of a point, its cells, and their value.
 MEANT = [
     ({"missing": 0xFFFF, "scale": 0.1}, [0xFFFF], MISSING),
     ({"missing": 0xFFFF, "scale": 0.1}, [0xFFFE], Value(6553.4)),
@@ -207,7 +207,7 @@ def test_a_plan_reads_the_point_of_the_scale_too() -> None:
     assert plan.results([[0xFFFE], [3, 200]]) == {"far": 6}
 
 
-# The register with the exponent, and the reason why nothing is scaled by it.
+# The register with the exponent, and the reason without a scaled value.
 EXPONENTS = [
     (300, "v has no value: v_sf, which scales it, must hold a power of ten in -30..30, not 300"),
     (

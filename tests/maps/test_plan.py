@@ -35,7 +35,7 @@ TABLES = {**BITS, **REGISTERS}
 
 
 def cell(table: str, address: int) -> Any:
-    """Every register tells where it is, and has two bytes of ASCII."""
+    """Every register holds its address, and has two bytes of ASCII."""
     return bool(address % 3) if table in BITS.values() else (address % 100) << 8 | address // 100
 
 
@@ -259,7 +259,7 @@ def cells_of(read: Read) -> range:
 
 
 def fewest(reads: list[Read], limit: int, gap: int, forbidden: set[int], borders: set[int]) -> int:
-    """Try the ends of each request: what must stay together, and where one must begin."""
+    """Return the fewest requests: try all ends for each, within the rules for cells."""
     addresses = {address for read in reads for address in cells_of(read)}
     together = []
     for read in reads:

@@ -23,7 +23,7 @@ def point(**keys: Any) -> Point:
     return Point(**{"name": "it", "table": H, "address": 0, **keys})
 
 
-# What a point has, its cells, and the value they stand for.
+# The arguments of a point, its cells, and their value.
 READ = [
     ({}, [2305], 2305),
     ({"scale": 0.1}, [2305], 230.5),
@@ -62,7 +62,7 @@ def test_nan_is_no_value() -> None:
     assert point_.judge(point_.encode(math.nan)) == (None, "bad", "Missing")
 
 
-# What is written, and the nearest raw number: of two the even one.
+# A value, and the nearest raw number: of two equally near, the even one.
 ROUNDED = [
     (21.5, 0.1, 215),
     (21.57, 0.1, 216),
@@ -96,7 +96,7 @@ def test_scaled_integers_are_exact_in_both_directions(
 ) -> None:
     bits, signed = INTEGERS[name]
     low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
-    # More than this a float does not tell.
+    # A float has no more digits than this.
     raw = data.draw(st.integers(max(low, -(10**9)), min(high, 10**9)))
     point_ = point(type=name, scale=float(scale), offset=float(offset))
     cells = list(struct.unpack(f">{bits // 16}H", raw.to_bytes(bits // 8, "big", signed=signed)))

@@ -1,4 +1,4 @@
-"""Plans of devices that fail in other ways, or change: nothing is left out in vain."""
+"""Plans of devices that fail in other ways, or change: no item is left out without reason."""
 
 import random
 from typing import Any
@@ -144,7 +144,7 @@ def test_a_refused_register_after_a_border_is_named() -> None:
 
 
 def test_a_refused_block_of_one_item_is_requested_once() -> None:
-    """It would be answered the second time."""
+    """The second request would be answered."""
 
     def change(device: Registers, answer: Any) -> Any:
         device.missing.clear()
@@ -205,7 +205,7 @@ def test_all_existing_registers_are_read_after_some_runs(seed: int, count: int) 
 
 
 def test_a_refused_register_is_found_although_its_exception_changes() -> None:
-    """It is refused now in this way, now in that, and the device is busy in between."""
+    """The exception changes between requests, and the device is busy in between."""
     chance = random.Random(1)
     moods = (IllegalDataAddress, ServerDeviceBusy, IllegalDataValue, ServerDeviceFailure)
 

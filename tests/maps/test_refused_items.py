@@ -92,7 +92,7 @@ def test_many_refused_registers_are_found_in_one_run(missing: Iterable[int]) -> 
 def test_a_device_that_refuses_everything_is_asked_once_in_a_run(count: int) -> None:
     polls = Polls(singles(count), Registers(range(65536)))
     first, values = polls.poll(0)
-    # It is not searched for long while nothing is answered.
+    # The search ends early while nothing is answered.
     assert first <= -(-count // 125) + 17
     assert lost(values) == polls.unreadable == list(range(count))
     assert [polls.poll(now)[0] for now in range(1, 700)] == [1] * 699
@@ -182,7 +182,7 @@ def test_a_new_connection_causes_a_new_trial() -> None:
 
 
 def test_the_first_connection_causes_no_new_trial() -> None:
-    """It is made by the first request."""
+    """The connection is made by the first request."""
     polls = Polls(singles(20), Registers([5]))
     polls.connects = 0
     polls.poll(0)

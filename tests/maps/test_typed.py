@@ -17,7 +17,7 @@ def point(**keys: Any) -> Point:
     return Point(**{"name": "it", "table": H, "address": 0, **keys})
 
 
-# What a point has, what is typed, and its cells, computed by hand.
+# The arguments of a point, the typed text, and its cells, computed by hand.
 TYPED: list[tuple[dict[str, Any], str, list[Any]]] = [
     ({"table": "coils"}, " on ", [True]),
     ({}, "0x1F", [31]),
