@@ -115,10 +115,10 @@ def test_a_function_is_called_with_the_delays_of_rts(events: list[object]) -> No
 @pytest.mark.parametrize(
     ("numbers", "calls"),
     [
-        ([0], [False]),  # when the port is opened
+        ([0], [False]),  # opening the port
         ([1], [False, True, False]),
         ([2], [False, True, SENT, False, False]),
-        ([1, 2], [False, True, False]),  # nothing is left to try
+        ([1, 2], [False, True, False]),  # no attempt is left
     ],
 )
 def test_what_a_function_raises_fails_its_request_and_the_line_receives(
@@ -146,7 +146,7 @@ def test_an_interrupted_function_leaves_the_line_receiving(events: list[object],
                 plc.read_holding_registers(0, 1)
             assert events == calls
             events.clear()
-        # Another function, because an answer to the first may still come.
+        # Another function, because an answer to the first request may still come.
         assert plc.read_input_registers(0, 1) == [555]
 
 

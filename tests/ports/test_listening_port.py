@@ -118,7 +118,7 @@ def test_a_client_waits_for_its_device_and_drops_other_bytes(kind: str, scheme, 
     greeting = b"89860012345678901234"
     with dialling(port, scheme, greeting) as modems, asking(kind, url, timeout=10) as plc:
         assert [plc.read_holding_registers(address, 1) for address in (7, 8)] == [[7], [8]]
-        modem = until(lambda: modems)[0]  # which its thread adds when it has connected
+        modem = until(lambda: modems)[0]  # the modem's thread adds it after connecting
         modem.heartbeat = HEARTBEAT
         for address in range(20):
             modem.send(HEARTBEAT)
@@ -169,7 +169,7 @@ def test_without_a_device_requests_fail_as_without_a_connection(kind: str, port:
     url = f"listen+tcp://127.0.0.1:{port}"
     with dialling(port) as modems, asking(kind, url, timeout=0.2) as plc:
         until(lambda: modems)[0].close()
-        for _ in range(2):  # at once: nobody pauses who waits for a device
+        for _ in range(2):  # at once: clients that wait for a device do not pause
             start = time.monotonic()
             with pytest.raises(ModbusConnectionError, match=r"no (device|connection)"):
                 plc.read_holding_registers(1, 1)

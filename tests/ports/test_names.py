@@ -93,7 +93,7 @@ def test_each_caller_gets_an_error_of_its_own(resolver: Resolver) -> None:
 
 
 async def test_no_look_up_waits_for_another_name(resolver: Resolver) -> None:
-    """Nor does an address or this machine, for which the system asks nobody."""
+    """Addresses and localhost do not wait either, because no thread looks them up."""
 
     names = [f"stuck{number}" for number in range(100)]
     tasks = [asyncio.create_task(look_up(wanted(name))) for name in names]

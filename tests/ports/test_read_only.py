@@ -51,8 +51,8 @@ def test_settings_of_another_program_stay() -> None:
         os.close(slave)
 
 
-def test_settings_of_a_program_in_another_namespace_stay_and_it_is_named(caplog) -> None:
-    """Whoever has the port open in another process."""
+def test_settings_of_a_program_in_another_namespace_are_kept(caplog) -> None:
+    """A process with the port open in another namespace."""
     master, slave = pty.openpty()
     path = os.ttyname(slave)
     before = termios.tcgetattr(slave)

@@ -207,7 +207,7 @@ class TestSettingsOfTheDriver:
     def test_a_size_or_parity_that_hardware_does_not_take_is_refused(
         self, settings: Any, text: str, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        """Pseudo-terminals refuse both, and are believed, because they have no line."""
+        """Pseudo-terminals refuse both, which is accepted, because they have no line."""
         port_ = SerialPort(wire.client, **settings)
         port_.open()
         port_.close()
@@ -251,7 +251,7 @@ class TestOpening:
             SerialPort(wire.client).open()
 
     def test_an_error_of_an_exclusive_port_names_its_process(self, wire: SerialWire) -> None:
-        """What TIOCEXCL of another program does; not to root, who may run the tests."""
+        """TIOCEXCL of another program has this effect; not for root, who may run the tests."""
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(os, "open", raising(errno.EBUSY))
             with failing(errno.EBUSY, "in use by another program"):
@@ -344,12 +344,12 @@ def dead_port(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     monkeypatch.setattr(socket.socket, "connect_ex", of_itself(connect_ex))
     yield port
     monkeypatch.undo()
-    with socket.socket() as bound:  # it was left as it was found: nothing waits in the system
+    with socket.socket() as bound:  # the socket is unchanged: nothing waits in the system
         bound.bind(("127.0.0.1", port))
 
 
 def test_the_system_connects_a_socket_to_itself(dead_port: int) -> None:
-    """The system does it: without this the other tests here would show nothing."""
+    """Without this effect of the system, the other tests here would show nothing."""
     with socket.socket() as sock:
         sock.connect(("127.0.0.1", dead_port))
         assert sock.getsockname() == sock.getpeername()

@@ -54,7 +54,7 @@ def test_the_time_of_received_bytes_counts_before_the_silence() -> None:
     silence = Silence(0.004, character=0.001)
     silence.sent(8, 10)
     assert silence.over_at == pytest.approx(10.012)
-    silence.heard(10.009)  # an answer, so all has left
+    silence.heard(10.009)  # received bytes show that all was sent
     assert silence.over_at == pytest.approx(10.013)
 
 
@@ -179,7 +179,7 @@ sys.stdin.read()
 
 
 def test_a_port_of_another_program_is_an_error_until_that_program_ends(wire: SerialWire) -> None:
-    """That one dies without closing it, and leaves its settings."""
+    """The program dies without closing the port, and leaves its settings."""
     holding = [sys.executable, "-c", HOLD, wire.client]
     with subprocess.Popen(holding, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         assert other.stdout is not None
@@ -221,7 +221,7 @@ def test_a_port_that_is_abandoned_while_it_sends_sets_no_rts(wire: SerialWire) -
 
 
 def heard(port: SerialPort, wire: SerialWire, data: bytes) -> None:
-    """Bytes have come, and wait to be read."""
+    """Write bytes, and wait until the port can read them."""
     other = os.open(wire.server, os.O_WRONLY | os.O_NOCTTY)
     os.write(other, data)
     until(port.has_input)

@@ -229,7 +229,7 @@ def woken_after(waker: Waker, condition: Callable[[], object] = lambda: True) ->
 
     def wake() -> None:
         until(condition)
-        time.sleep(0.02)  # until it waits, which nobody tells
+        time.sleep(0.02)  # until the thread waits, which cannot be seen
         waker.wake()
 
     thread = threading.Thread(target=wake)
@@ -308,7 +308,7 @@ def test_milliseconds_are_rounded_up_and_limited_to_a_day(seconds: float, rounde
 
 
 class Counted:
-    """In place of what polls: nothing ever happens, and the clock moves by what was waited."""
+    """In place of `poll`: nothing is ready, and the clock moves by the time waited."""
 
     def __init__(self) -> None:
         self.now = 0.0
