@@ -61,7 +61,7 @@ def test_a_returned_write_shows_nothing_however_often_it_comes(take: Any) -> Non
 
 @pytest.mark.parametrize("on_the_way", [1, 2, 3])
 def test_an_answer_between_writes_shows_the_echo(take: Any, on_the_way: int) -> None:
-    """As at a server that has answered its own answers so far, before and after it was asked."""
+    """As at a server that has executed its own answers so far, before and after the search."""
     echo = sent(None, *[WRITE] * on_the_way, ANSWER)
     for _ in range(on_the_way):
         assert take(echo, WRITE) == WRITE
@@ -186,7 +186,7 @@ def test_a_new_connection_searches_for_an_echo_again() -> None:
 
 @pytest.mark.parametrize("setting", [None, True])
 def test_requests_that_are_never_returned_are_forgotten(setting: bool | None) -> None:
-    """As broadcasts, to which nothing is ever received."""
+    """Such as broadcasts, to which nothing is ever received."""
     with small_memory():
         echo = Echo(setting)
         for value in range(10_000):

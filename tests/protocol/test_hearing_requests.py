@@ -195,7 +195,7 @@ def test_bytes_in_a_damaged_answer_of_others_are_no_request(head: str) -> None:
 @each_case(
     ("burst", "name"),
     [
-        # Of libmodbus's unit tests: 0 registers, and six bytes more than are counted.
+        # From libmodbus's unit tests: 0 registers, and six bytes more than counted.
         (rtu("05 10 0160 0000 00 000000000000"), "request 5 10"),
         (rtu("05 10 0160 0002 08 00010002"), "request 5 10"),
         (rtu("05 0F 0130 0008 02 FF"), "request 5 0F"),

@@ -78,7 +78,7 @@ def test_an_expected_response_is_waited_for() -> None:
     """Its first bytes are, by chance, a whole request; only the rest shows what it is."""
     longer = rtu("01 03 08 00 07 00" + rtu("01 03 08 00 07 00")[-2:].hex() + "AA BB CC")
     assert heard(ASK, longer[:8], longer[8:]) == [("request", ASK), ("response", longer)]
-    # Without its request it is taken for the shorter one.
+    # Without its request, the response is taken for the shorter frame.
     assert heard(longer[:8]) == [("request", longer[:8])]
 
 
@@ -100,7 +100,7 @@ def test_damage_is_dropped_in_silence_if_frames_follow_to_the_end() -> None:
 
 
 def test_a_frame_without_a_length_ends_where_its_crc_fits_and_frames_follow() -> None:
-    assert heard(UNKNOWN + ASK) == []  # what follows may belong to it
+    assert heard(UNKNOWN + ASK) == []  # later bytes may belong to the frame
     assert heard(UNKNOWN + ASK, SILENCE) == [("request", UNKNOWN), ("request", ASK)]
     assert heard(UNKNOWN, SILENCE) == [("request", UNKNOWN)]
 

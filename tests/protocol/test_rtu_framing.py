@@ -238,14 +238,14 @@ class TestRtu:
 
     @pytest.mark.parametrize("role", ["client", "server"])
     def test_a_registered_class_is_read_by_its_length_rule(self, role: Any, own_class: int) -> None:
-        """A frame with a fitting CRC in its data, which nothing but the rule can tell."""
+        """A frame with a valid CRC in its data, so that only the rule gives the right end."""
         head = bytes([17, own_class, 4])
         early = head[1:] + crc16(head).to_bytes(2, "little") + b"\1\2"
         whole = rtu(17, early)
         framer = RtuFramer(role)
         assert feed_bytes(framer, whole) == [Frame(17, early)]
         assert take(framer, whole * 2) == ([Frame(17, early)] * 2, [])
-        # And it is found behind garbage, which a code without a rule is not.
+        # And the frame is found after noise, unlike one of a code without a rule.
         results = [*framer.scan(b"\xff\xff\xff" + whole), *framer.scan_silence()]
         assert [result for result in results if isinstance(result, Frame)] == [Frame(17, early)]
         assert any(isinstance(result, FrameError) for result in results)

@@ -48,7 +48,7 @@ def test_summer_time_is_an_hour_ahead_of_utc() -> None:
     assert value_type("iec870").decode(cells) == NOON
 
 
-# What is not a time: a bit says so, or a field has no such number.
+# Registers that are no time: a bit says so, or a field is out of range.
 NONE = [
     ("iec870", [26, 7 << 8 | 1, 12 << 8 | 0x80 | 30, 0]),
     ("iec870", [0, 0, 0, 0]),
@@ -120,7 +120,7 @@ def utc(*fields: int) -> datetime:
         (utc(2026, 7, 1, 10), utc(2026, 7, 1, 12)),
         (utc(2026, 3, 29, 0, 59, 59), utc(2026, 3, 29, 1, 59, 59)),
         (utc(2026, 3, 29, 1), utc(2026, 3, 29, 3)),
-        # This hour occurs twice, and the first one is meant.
+        # This hour occurs twice, and the first time is meant.
         (utc(2026, 10, 25, 0, 30), utc(2026, 10, 25, 2, 30)),
         (utc(2026, 10, 25, 2), utc(2026, 10, 25, 3)),
     ],

@@ -291,7 +291,7 @@ def test_type_checkers_know_the_names_of_all_types() -> None:
     texts = {*get_args(get_args(TextType)[0])}
     assert {name for name in texts if not value_type(name).is_text} == {"eui48"}
     assert others | {"eui48"} == set(TYPES)
-    assert sum(len(get_args(item)) for item in get_args(TypeName)) < 70  # errors list all of them
+    assert sum(len(get_args(item)) for item in get_args(TypeName)) < 70  # errors list all types
     assert get_args(Order) == (*ORDERS, *WIDE_ORDERS)
 
 

@@ -113,7 +113,7 @@ READING = [
 CHANGING = [
     *(example for example in EXAMPLES if example.function in WRITES),
     *(pdu.Diagnostics(number) for number in (1, 3, 4, 10, 20)),
-    pdu.EncapsulatedTransport(13, b"\0"),  # only its two ends know what a CANopen message does
+    pdu.EncapsulatedTransport(13, b"\0"),  # the effect of a CANopen message is unknown
     pdu.RawRequest(100),
 ]
 

@@ -100,7 +100,7 @@ class TestRegister:
         for _ in range(2):
             with pytest.raises(IllegalFunction):
                 decode_request(b"\x41\0")
-            assert pdu.register(Doubled) is Doubled  # as a decorator gives it
+            assert pdu.register(Doubled) is Doubled  # a decorator returns the class
             assert pdu.register(Doubled) is Doubled  # once more does no harm
             assert decode_request(b"\x41\0") == Doubled(())
             pdu.REQUESTS.pop(0x41)
