@@ -46,7 +46,7 @@ def test_the_fingerprint_is_that_of_openssl(tmp_path: Path) -> None:
 
 
 def named(*values: str) -> bytes:
-    """A certificate with such names, which nobody has to know."""
+    """A certificate with these names."""
     identity = certificates.self_signed()
     name = x509.Name([x509.NameAttribute(NameOID.ORGANIZATION_NAME, value) for value in values])
     builder = x509.CertificateBuilder(

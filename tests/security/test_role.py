@@ -104,7 +104,7 @@ def test_invalid_certificates_are_refused(data: bytes) -> None:
 
 
 def test_a_version_that_does_not_exist_is_refused() -> None:
-    """The library has an error of its own for it, which is not a ValueError."""
+    """The library raises an error of its own, which is no ValueError."""
     third = bytes.fromhex("A0 03 02 01 02")
     der = client(OPERATOR)
     assert der.count(third) == 1

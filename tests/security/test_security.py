@@ -49,7 +49,7 @@ NO_CERTIFICATE: list[Callable[[], bytes]] = [
     lambda: certificates.client().pem + pem("CERTIFICATE"),
 ]
 
-# What is in the file of a key, and what is said of it.
+# The content of a key file, and the text of the error.
 NO_KEY: list[tuple[Callable[[], bytes], str]] = [
     (lambda: b"", "no key in PEM format"),
     (lambda: certificates.client().pem, "no key in PEM format"),
@@ -190,11 +190,11 @@ def test_an_encrypted_key_needs_its_password(tmp_path: Path, pki: Pki, form: str
 
 
 def test_a_password_is_never_asked_for_at_the_terminal(pki: Pki) -> None:
-    """OpenSSL would, if nobody gave it one."""
+    """OpenSSL would ask if no password was passed."""
     files = pki.files(certificates.client(), b"secret")
     program = (
         "import os, sys; from libmodbus_py import Security\n"
-        "os.open(os.ttyname(0), os.O_RDWR)\n"  # which makes it the session's terminal
+        "os.open(os.ttyname(0), os.O_RDWR)\n"  # opening makes it the terminal of the session
         "try: Security(sys.argv[1], sys.argv[2], trust=sys.argv[3])\n"
         "except ValueError as error: print(error)"
     )
@@ -235,7 +235,7 @@ def test_pins_are_files_or_hashes(pki: Pki, files: Files) -> None:
     bundle.write_bytes(files.cert.read_bytes() + pki.ca.read_bytes())
     security = Security(files.cert, files.key, pin=bundle)
     assert security.accepts(own)
-    assert not security.accepts(certificates.authority().der)  # it is the chain of the first
+    assert not security.accepts(certificates.authority().der)  # this is the chain of the first
 
 
 def digest(certificate: bytes) -> str:
@@ -291,7 +291,7 @@ def test_server_names_are_checked_before_they_are_used(pki: Pki, files: Files) -
 
 
 def test_each_file_is_read_once(pki: Pki) -> None:
-    """But for those of a server, which it reads when it begins."""
+    """Except files of a server, which it reads again when it begins."""
     files = pki.files(certificates.server())
     security = Security(files.cert, files.key, trust=pki.ca)
     security.check_server()
