@@ -167,7 +167,7 @@ def test_damage_with_a_refused_function_is_counted(lan: Lan, scheme: str, unit: 
 
 
 def test_a_gateway_ignores_frames_of_other_units_too(lan: Lan) -> None:
-    """It is a unit on a line here."""
+    """The gateway is a unit on this line."""
     with unit_one(LINE, is_gateway=True) as (gateway, writes):
         master, other = LineEnd(lan.line("/dev/line")), LineEnd(lan.line("/dev/line"))
         for request, answer in TRAFFIC:
@@ -217,7 +217,7 @@ def test_a_loopback_whose_data_contain_a_write_is_returned_unchanged(lan: Lan, s
 @each_stream
 @pytest.mark.parametrize("is_gateway", [False, True])
 def test_only_the_last_request_without_a_pause_is_answered(lan: Lan, scheme: str, is_gateway):
-    """All came before the server could look: whoever sent another one has given up the first."""
+    """All arrived before the server read them: only the last can still be awaited."""
     frame, url = LINES[scheme][0], place_on(scheme)
     requests = [frame(f"01 06 0001 {number:04X}") for number in (5, 6, 7)]
     with unit_one(url, is_gateway=is_gateway) as (_, writes), saying(lan, url) as say:

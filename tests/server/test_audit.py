@@ -151,7 +151,7 @@ def test_only_what_authorize_does_not_allow_is_recorded_as_refused(transport, ev
         assert plc.read_exception_status() == 1
         with pytest.raises(IllegalFunction):  # the hook refuses it
             plc.read_holding_registers(0, 1)
-        with pytest.raises(IllegalFunction):  # the device has no such function
+        with pytest.raises(IllegalFunction):  # the device lacks this function
             plc.execute(pdu.RawRequest(0x65, b"\0"))
         with pytest.raises(IllegalDataAddress):
             plc.read_fifo_queue(9)
@@ -227,7 +227,7 @@ def test_starts_and_ends_of_servers_and_clients_are_recorded(
             until(lambda: len(events) == 3 and len(events.own) == 2)
 
             def is_refused() -> bool:
-                """Ask again: at first the client may only find that its connection is gone."""
+                """Try again: at first the client may only notice that its connection is closed."""
                 with pytest.raises(ModbusConnectionError):
                     plc.read_holding_registers(0, 1)
                 return len(events) >= 4
@@ -265,7 +265,7 @@ def test_a_peer_from_another_network_is_recorded_once_a_minute(transport, events
 
 
 class Failing:
-    """Takes events unless it fails."""
+    """An audit that records events unless it is told to fail."""
 
     def __init__(self) -> None:
         self.taken: list[AuditEvent] = []
@@ -274,7 +274,7 @@ class Failing:
     def __call__(self, event: AuditEvent) -> None:
         if self.fails:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        if event.peer:  # of no peer are those of the server itself
+        if event.peer:  # events without a peer are those of the server itself
             self.taken.append(event)
 
 
@@ -337,7 +337,7 @@ def fill_the_disk(path: Path) -> None:
 
 
 def do_nothing(path: Path) -> None:
-    """A pipe loses its reader in the test."""
+    """In this test a pipe loses its reader instead."""
 
 
 TROUBLES = [

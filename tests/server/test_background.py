@@ -72,7 +72,7 @@ def left() -> tuple[int, int]:
 
 
 def is_left(counts: tuple[int, int]) -> bool:
-    """Return True if there are no more of them, soon: the system takes a moment to end a thread."""
+    """Return True if there are no more soon: the system takes a moment to end a thread."""
     deadline = time.monotonic() + PATIENCE
     while left() > counts:
         if time.monotonic() > deadline:
@@ -216,7 +216,7 @@ ENDS = [SystemExit(3), KeyboardInterrupt()]
 
 
 def ending(error: BaseException) -> Server:
-    """Reading register 99 ends it."""
+    """Return a server that ends the program when register 99 is read."""
 
     def hook(access: Access) -> None:
         if access.address == 99:
@@ -285,7 +285,7 @@ def test_serve_forever_and_serving_raise_program_ends(scheme: str, error: BaseEx
 
 
 def test_requests_before_the_end_of_the_program_are_answered() -> None:
-    """In the same bytes: it was executed."""
+    """The requests arrive in the same bytes."""
     error = SystemExit(3)
     server = ending(error)
     with raised(error), server.background(*URLS) as running, connect(running.urls[0]) as client:

@@ -145,7 +145,7 @@ def test_the_event_log_has_the_latest_of_many_requests() -> None:
 
 
 def test_all_functions_of_libmodbus_are_answered_in_c(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not by the way around, which would give the same answers."""
+    """Not in Python, which would give the same answers."""
     monkeypatch.delattr(Device, "_respond")
     device = Device(Mapping(65536, 65536, 65536, 65536))
     vectors = [vector for vector in REQUESTS if vector.function in REPLIED]
@@ -195,7 +195,7 @@ LIMITS = {1: 2000, 2: 2000, 3: 125, 4: 125, 15: 1968, 16: 123}
         ],
         *[
             pytest.param(bytes.fromhex(text), False, id=text)
-            for text in (  # a byte count that is not what follows
+            for text in (  # a byte count that does not match the data
                 "0f 0000 0009 01 00",
                 "0f 0000 0008 02 0000",
                 "10 0000 0001 01 0000",

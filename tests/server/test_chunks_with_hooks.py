@@ -111,7 +111,7 @@ Told = list[tuple[str, Access]]
 
 
 def hooked(ranges: dict[str, Any], functions: set[Any], calls: Told) -> Device:
-    """A device whose hooks note what they are told, move what is read, and refuse some."""
+    """A device whose hooks record their accesses, change the values read, and refuse some."""
 
     def hook(name: str) -> Callable[[Access], None]:
         def call(access: Access) -> None:
@@ -215,7 +215,7 @@ def test_hooks_for_ranges_get_accesses_to_their_ranges(stream: bytes, ranges: di
 
 
 def is_answered_in_c(device: Device, body: bytes, monkeypatch: pytest.MonkeyPatch) -> bool:
-    """Both in a chunk and alone."""
+    """Return True if C answers a request, alone and with others."""
     requests: list[bytes] = []
 
     def respond(device: Device, body: bytes, log: Any, caller: Any) -> bytes:

@@ -80,7 +80,7 @@ def test_a_closed_client_gets_no_reset_although_it_had_sent_more(port: int) -> N
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])
 def test_random_bytes_change_no_value(lan: Lan, scheme: str, device: Device) -> None:
-    """Whoever is out of step is closed, and comes back with the next bytes."""
+    """A client that sends invalid bytes is closed, and connects again with the next ones."""
     before = contents(device)
     chance = random.Random(1)
     urls = f"{scheme}://10.0.0.1:0", "tcp://10.0.0.1:0"

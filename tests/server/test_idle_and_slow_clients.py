@@ -50,7 +50,7 @@ def test_single_bytes_do_not_extend_the_time_of_a_frame(lan: Lan, kind: str, fra
         assert slow.is_closed()
         assert frame_timeout <= lan.now - start <= frame_timeout + min(1, frame_timeout / 4) + 0.01
         assert server.counts(closed_slow=1, connections=1, requests=1)
-        ask(silent)  # who begins nothing has all the time
+        ask(silent)  # a client that has begun no frame has no time limit
 
 
 @KIND
@@ -143,7 +143,7 @@ def test_clients_with_frames_that_end_with_silence_are_not_idle(lan: Lan) -> Non
 
 @pytest.mark.parametrize("data", [b"", adu(READ_ONE)[:5]], ids=["idle", "slow"])
 def test_the_system_closes_unreachable_clients_in_time(data: bytes) -> None:
-    """The real copy of what this file shows in simulated seconds."""
+    """On the real system, unlike the other tests of this file."""
     limits = Limits(frame_timeout=0.1, idle_timeout=0.2)
     server = Server({17: Device(Mapping(holding_registers=1))}, limits=limits)
     with server.background("tcp://127.0.0.1:0") as running, connect(running.urls[0]) as client:

@@ -168,7 +168,7 @@ def ask_system(connection: socket.socket) -> None:
 
 
 def is_closed(connection: socket.socket) -> bool:
-    """Return True if nothing comes any more, because the server has closed."""
+    """Return True if no more bytes come, because the server has closed."""
     try:
         return connection.recv(1) == b""
     except ConnectionResetError:
@@ -233,7 +233,7 @@ def has_answer(client: socket.socket) -> bool:
 
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM])
 def test_without_descriptors_a_server_accepts_ten_times_a_second(lan: Lan, monkeypatch, number):
-    """Whoever waits to be accepted would wake it without end."""
+    """Otherwise clients that wait to be accepted would wake the server without end."""
     times: list[float] = []
 
     def fail(listener: MemoryListener) -> None:

@@ -23,7 +23,7 @@ both = pytest.mark.parametrize("scheme", ["tcp", "udp"])
 
 
 def holding(value: int, **hooks: Any) -> Device:
-    """A device that can be told from others."""
+    """A device whose register has this value, to tell it from others."""
     return Device(Mapping(holding_registers={0: [value, 0, 0, 0]}), **hooks)
 
 
@@ -121,7 +121,7 @@ def test_lines_have_no_own_units() -> None:
     ids=str,
 )
 def test_faults_of_the_own_unit_apply_to_the_units_0_and_255(scheme: str, faults, codes) -> None:
-    """But for those of the units themselves."""
+    """Except for faults of the units 0 and 255 themselves."""
     faults_of_units = {unit: [Fault("exception", code=code)] for unit, code in faults.items()}
     server = Server({1: holding(7)}, faults=faults_of_units)
     with (

@@ -62,7 +62,7 @@ def peers_in_memory() -> int:
 
 @KIND
 def test_a_connection_lost_while_it_waits_leaves_nothing(lan: Lan, kind: str) -> None:
-    before = peers_in_memory()  # errors that tests keep may hold some
+    before = peers_in_memory()  # errors that pytest keeps may refer to peers
     with server_on(lan, kind, requests_per_second=0.001) as server:
         for number in range(20):
             eager = server.connect(f"10.3.0.{1 + number}")

@@ -161,7 +161,7 @@ def test_counters_and_event_log_stay_with_their_unit(transport: str) -> None:
 
 
 def test_a_hook_may_replace_the_devices_of_its_server() -> None:
-    """In the middle of a chunk: what is asked behind it sees the new ones, in order."""
+    """In the middle of a chunk: later requests of the chunk use the new devices, in order."""
 
     def swap(_: object) -> None:
         server.replace({1: holding(9)}, faults={1: [Fault("exception", code=6, function=1)]})

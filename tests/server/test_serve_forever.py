@@ -61,7 +61,7 @@ except KeyboardInterrupt:
 
 @contextmanager
 def program(text: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """Run it; give the first URL that it names on stderr, too."""
+    """Run the program; yield the first URL in its log, too."""
     process = subprocess.Popen(
         [sys.executable, "-c", HEAD + text],
         stdout=subprocess.PIPE,

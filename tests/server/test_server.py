@@ -153,5 +153,5 @@ def test_serve_forever_unfreezes_the_objects_that_it_froze() -> None:
 def test_serve_forever_keeps_the_objects_that_the_program_froze() -> None:
     start, *others = counts("gc.freeze()")
     assert start > 10_000
-    # Some of it may be freed meanwhile.
+    # Some of the objects may be freed meanwhile.
     assert all(start - 500 <= count <= start for count in others)

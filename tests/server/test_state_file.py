@@ -56,7 +56,7 @@ def plant(folder: Path, text: str = PLANT) -> Units:
 
 @pytest.fixture(autouse=True)
 def _only_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the thread write nothing, so that a test says when something is written."""
+    """Let the thread write nothing, so that the test decides when the file is written."""
     monkeypatch.setattr(state_file, "WRITE_EVERY", 1e6)
 
 
@@ -104,7 +104,7 @@ def test_only_written_values_are_kept_after_a_restart(folder: Path) -> None:
             "2": {"points": {"coils_0": ["coils", 0, 8, None, "ABCD"]}, "coils": {"5": [1]}},
         },
     }
-    # New first values hold where nothing was written.
+    # New initial values apply to values that were not written.
     units = plant(folder, PLANT.replace("value = 7", "value = 6"))
     close(kept(folder, units))
     assert units[1]["setpoint"] == 21.5

@@ -29,13 +29,13 @@ from tests.support.tls import ONE, VERSION, VERSIONS, TlsClient, context, servin
 
 @pytest.fixture
 def roles() -> list[str | None]:
-    """The roles of those who wrote."""
+    """The roles of clients that wrote."""
     return []
 
 
 @pytest.fixture
 def noting(roles: list[str | None]) -> Device:
-    """Notes the roles of those who read and write."""
+    """A device that records the roles of clients that read and write."""
 
     def note(access: Access) -> None:
         roles.append(access.role)
@@ -208,7 +208,7 @@ def test_a_bad_certificate_is_refused(
                 peers.append(":".join(map(str, client.socket.getsockname())))
                 if alert is None:
                     client.handshake()
-                    # It got the goodbye, whatever it sent meanwhile.
+                    # The client got the close notify, whatever it sent meanwhile.
                     assert client.ask(ONE, 1) == b""
                 else:
                     with pytest.raises(ssl.SSLError, match=alert):
@@ -229,7 +229,7 @@ def test_a_bad_certificate_is_refused(
         ("handshake", certificate_fields(identity))
     ] * 2
     assert any(word in events[-1].result for word in reasons.split("|"))
-    if alert is None:  # OpenSSL keeps to itself whose it was that it refused
+    if alert is None:  # OpenSSL does not tell whose certificate it refused
         assert message.endswith(f"SHA-256 {digest(identity)}")
 
 
@@ -237,7 +237,7 @@ def test_a_bad_certificate_is_refused(
 def test_a_session_of_a_refused_client_is_refused(
     lan: Lan, pki: Pki, served: tuple[Server, int], version: ssl.TLSVersion
 ) -> None:
-    """Its role is read when OpenSSL has given the ticket away."""
+    """The role is read after OpenSSL has sent the ticket."""
     context_ = context(pki, BAD["two roles"][0](), version)
     session = None
     for _ in range(3):

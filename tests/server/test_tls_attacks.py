@@ -207,7 +207,7 @@ def test_openssl_cannot_renegotiate_but_can_change_its_keys(pki: Pki, command: s
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            bufsize=0,  # what it does not take is not tried again
+            bufsize=0,  # the write is not tried again
         ) as process:
             assert process.stdin is not None
             assert process.stdout is not None
@@ -238,7 +238,7 @@ def test_openssl_cannot_renegotiate_but_can_change_its_keys(pki: Pki, command: s
 
 
 def test_a_fatal_alert_in_the_middle_of_a_session_ends_it(lan: Lan, pki: Pki) -> None:
-    """Python's ssl sends one when what it gets is not a record."""
+    """Python's ssl sends an alert when it receives bytes that are no record."""
     with talking(lan, pki) as (server, client):
         assert client.is_answered()
         client._incoming.write(record(23, bytes(40)))

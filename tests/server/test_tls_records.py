@@ -100,7 +100,7 @@ def test_records_read_together_are_carried_out_in_order(
 
 
 def test_a_record_full_of_requests_is_answered_in_slices(lan: Lan, pki: Pki) -> None:
-    """Others have their turns between: what one record carries is up to 1365 requests."""
+    """Other clients take turns in between: a record can contain 1365 requests."""
     turns: list[str] = []
     device = Device(
         Mapping(10, 10, 1000, 1000), before_read=lambda access: turns.append(access.peer)
@@ -122,7 +122,7 @@ def test_a_record_full_of_requests_is_answered_in_slices(lan: Lan, pki: Pki) -> 
     modest_name = min(set(turns), key=turns.count)
     runs = "".join("m" if name == modest_name else "g" for name in turns).split("m")
     assert turns.count(modest_name) == 2
-    assert len(runs[-1]) > count // 2, [len(run) for run in runs]  # it did not have to wait for all
+    assert len(runs[-1]) > count // 2, [len(run) for run in runs]  # it did not wait for all
 
 
 @VERSION

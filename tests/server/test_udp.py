@@ -120,7 +120,7 @@ def test_too_many_requests_are_dropped_for_one_address_only(lan: Lan) -> None:
         ask(eager, 600)
 
 
-WRITE = bytes.fromhex("06 0064 0007")  # its answer is the same bytes
+WRITE = bytes.fromhex("06 0064 0007")  # its answer has the same bytes
 QUERY = bytes.fromhex("08 0000 1234")
 MASK = bytes.fromhex("16 0064 00f2 0025")
 
@@ -326,7 +326,7 @@ NO_MBAP = [
     adu(LONGEST) + bytes(253),
     adu(READ) + bytes(60_000),  # longer than is read
     rtu("01 03 0000 0001"),
-    adu(READ)[:7],  # the two halves of one
+    adu(READ)[:7],  # the two halves of one request
     adu(READ)[7:],
 ]
 
