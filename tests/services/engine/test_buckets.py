@@ -62,7 +62,7 @@ async def test_a_write_whose_answer_came_too_late_is_not_repeated(
 ) -> None:
     bucket = engine.bucket(client)
     revision = await bucket.put("a", b"1", 0)
-    for last in (0, revision + 7):  # no such key, or another revision
+    for last in (0, revision + 7):  # a missing key, or another revision
         assert await bucket.put("a", b"9", last) == 0
     engine.delay, usual = (1.5, 1.5), engine.delay
     with pytest.raises(EngineGone, match="no answer"):
@@ -122,7 +122,7 @@ def watched(
         ([message(1, 5), message(2, 6, value=b"")], [(b"1", 5), None, (None, 6)], 0),
         ([message(1, 5), message(1, 5), message(2, 6)], [(b"1", 5), None], 1),  # twice
         ([message(1, 5), message(3, 7), message(2, 6)], [(b"1", 5), None], 1),  # late
-        ([message(2, 5)], [], 1),  # the first one was lost
+        ([message(2, 5)], [], 1),  # the first message was lost
         ([message(1, 5), message(2, 4), message(2, 4)], [(b"1", 5), None, (b"1", 4)], 1),
     ],
 )

@@ -63,7 +63,7 @@ async def test_a_misbehaving_device_does_not_affect_others(manners: Any) -> None
         ]
         async with polling(*devices) as (fleet, readings):
             await until(lambda: len(bad.requests) >= 3 and len(well.requests) >= 25)
-            # Nothing wrong is taken for a value.
+            # No damaged answer is taken for a value.
             values = {reading[2:6] for reading in readings if reading.quality == "good"}
             assert values == {
                 ("voltage", 0.7, "V", "good"),

@@ -68,14 +68,14 @@ async def test_fifty_silent_units_on_a_gateway_do_not_delay_the_others() -> None
             # A timeout for each try of the dead at each interval would be as many for them.
             dead = [unit for unit in peer.units if unit % 2]
             assert len(dead) < len(peer.units) / 3
-        # Each point that is down was told once.
+        # Each point of a silent device was reported once.
         down = Counter((item.device, item.name) for item in readings if item.quality == "down")
         of_the_dead = [count for (unit, _), count in down.items() if int(unit) % 2]
         assert of_the_dead == [1] * 150
 
 
 async def test_devices_on_real_connections_are_polled() -> None:
-    """Over TCP, and on a line with a unit that is not there."""
+    """Over TCP, and on a line without one of the units."""
     with SerialWire() as wire:
         units = {1: simulated(100), 3: simulated(300)}
         line = f"rtu://{wire.client}?timeout=0.5"
@@ -258,7 +258,7 @@ async def test_a_device_that_may_not_be_asked_is_not_polled_and_gives_no_reading
             count, held = len(one.requests), fleet.statistics.vetoes
             await until(lambda: fleet.statistics.vetoes >= held + 6)
             assert len(one.requests) == count
-            # It is not the device that is down: nobody asked it.
+            # The device is not counted as down, because it was not asked.
             assert fleet.statistics.down == 0
             assert {reading.quality for reading in readings} == {"good"}
 

@@ -29,7 +29,7 @@ async def test_each_device_is_polled_at_its_interval() -> None:
         assert (statistics.devices, statistics.up, statistics.down) == (2, 2, 0)
         assert (statistics.skipped, statistics.failures, statistics.vetoes) == (0, 0, 0)
         assert statistics.polls == statistics.readings
-        # One may be on its way.
+        # One request may be in flight.
         assert len(plant.asked) - statistics.polls in (0, 1)
 
 
@@ -47,7 +47,7 @@ async def test_a_device_is_polled_at_the_same_time_of_day_on_each_machine() -> N
 
 @in_simulated_time
 async def test_the_requests_of_a_poll_are_sent_one_after_the_other() -> None:
-    """All of a poll should be of one moment: no other device comes between."""
+    """The values of a poll should belong together: no other device is asked in between."""
     plant = Plant()
     # They are due at the same time, for an interval so short puts them close together.
     async with plant.polls(*(plant.device(unit, MAP, interval=0.25) for unit in (1, 2, 3))):
@@ -126,13 +126,13 @@ class TestSilentDevices:
             await asyncio.sleep(65)
             assert poller.state is DeviceState.UP
             assert (statistics.up, statistics.down) == (1, 0)
-            # It is polled at its interval again.
+            # The device is polled at its interval again.
             await asyncio.sleep(5)
             assert gaps(plant.times(1))[-3:] == [1.0, 1.0, 1.0]
 
     @in_simulated_time
     async def test_a_trial_of_a_silent_device_waits_for_other_polls(self) -> None:
-        """It costs them no more than one of their own answers takes."""
+        """The trial costs others no more than one of their own answers takes."""
         plant = Plant()
         async with plant.polls(plant.device(9), plant.device(1, interval=0.1)):
             plant.silent.add(9)
@@ -148,7 +148,7 @@ class TestSilentDevices:
 
     @in_simulated_time
     async def test_some_polls_of_a_silent_device_wait_for_the_whole_timeout(self, monkeypatch):
-        """It may have become slower than all others, and would never be found."""
+        """The device may have become slower than all others, and would never be found."""
         monkeypatch.setattr(shared_line, "TRIALS_BEFORE_LONG", 6)
         plant = Plant()
         async with plant.polls(plant.device(9), plant.device(1, interval=0.1)):
@@ -203,7 +203,7 @@ class TestSilentDevices:
     async def test_the_second_request_of_a_trial_waits_for_others_too(self) -> None:
         plant = Plant()
         async with plant.polls(plant.device(9, MAP), plant.device(1, interval=0.1)):
-            await asyncio.sleep(2)  # it is known how long its answers take
+            await asyncio.sleep(2)  # the response times are measured
             plant.silent.add(9)
             await asyncio.sleep(10)
             start = plant.now
@@ -269,7 +269,7 @@ class TestChanges:
             assert plant.asked == []
             assert plant.fleet.statistics.down == 3
             plant.network.listen(plant.peer.url, plant.peer._accept)
-            # One that is paused for a minute is asked when another finds the connection.
+            # A device paused for a minute is asked when another one restores the connection.
             start = plant.now
             while plant.fleet.statistics.up < 3:
                 await asyncio.sleep(0.1)

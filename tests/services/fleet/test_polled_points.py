@@ -191,7 +191,7 @@ async def test_a_device_that_falls_silent_during_a_search_is_searched_later() ->
 @each_case("stop", range(1, 8))
 @in_simulated_time
 async def test_devices_replaced_during_a_search_keep_only_true_refusals(stop: int) -> None:
-    """Nothing of the search goes on, and what was learnt is true."""
+    """The search does not continue, and the refusals found so far are right."""
     plant = plant_of()
     plant.missing = {1: {7}, 2: {7}}
     one, two = device(plant, 1), device(plant, 2)

@@ -82,7 +82,7 @@ async def test_a_written_value_is_reported_at_once() -> None:
         await asyncio.sleep(PAUSE)
         assert reported(readings) == [("setpoint", 21)]
         assert memory.reads == [(0, 1)]
-        # Also one that differs by less than the band, or not at all; and one that is rarely read.
+        # Also a value within the dead band, an unchanged one, and one that is rarely read.
         await fleet.write("a", {"setpoint": 21})
         await fleet.write("a", {"limit": 7})
         await asyncio.sleep(PAUSE)

@@ -90,7 +90,7 @@ async def test_a_page_shows_values_and_devices_also_if_one_is_down() -> None:
             assert "no " in reason
             assert not any(text in reason for text in ("function", "ModbusTimeout"))
             assert since >= state_of(up)[2]
-            assert problems(view) == ["b"]  # and not each of its points
+            assert problems(view) == ["b"]  # the device, and not each of its points
             assert value(view, "b power") == ["-", "W"]
 
             silent.clear()

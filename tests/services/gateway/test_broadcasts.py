@@ -38,7 +38,7 @@ def test_a_broadcast_reaches_every_unit_of_every_line(lan: Lan, front: str) -> N
         lan.pass_time(0.1)
         assert all(device.mapping.holding_registers[2:4] == [8, 9] for device in devices)
         assert gateway_.traffic.broadcasts == 1
-        if front != "rtu+tcp":  # there a client knows that nobody answers
+        if front != "rtu+tcp":  # on RTU over TCP a client expects no answer
             with pytest.raises(GatewayPathUnavailable):
                 context.read_holding_registers(0, 1)
 
@@ -147,7 +147,7 @@ def test_broadcasts_do_not_loop_between_gateways(lan: Lan, scheme) -> None:
         Client(url, unit=2, timeout=20) as context,
     ):
         for value in (7, 8, 7):
-            with contextlib.suppress(GatewayTargetFailedToRespond):  # the other did not pass it on
+            with contextlib.suppress(GatewayTargetFailedToRespond):  # the other did not forward it
                 context.for_unit(0).write_register(0, value)
             lan.pass_time(0.5)
             assert device.mapping.holding_registers[0] == value
@@ -175,7 +175,7 @@ def test_broadcasts_do_not_loop_between_gateways_on_unix_sockets(tmp_path):
         until(lambda: len(first.traffic.lines) == 2)
         context.write_register(3, 4)
         assert context.read_holding_registers(3, 1) == [4]
-        with pytest.raises(GatewayTargetFailedToRespond):  # the other one did not pass it on
+        with pytest.raises(GatewayTargetFailedToRespond):  # the other gateway did not forward it
             context.for_unit(0).write_register(0, 7)
         assert device.mapping.holding_registers[0] == 7
         assert (first.traffic.broadcasts, second.traffic.broadcasts) == (1, 1)

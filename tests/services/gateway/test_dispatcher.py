@@ -42,7 +42,7 @@ def test_units_have_other_numbers_on_their_lines(lan: Lan) -> None:
             ask(12)
         assert lan.now - start == pytest.approx(300, abs=0.1)
         assert gateway_.traffic.no_route == 6
-        assert len(gateway_.traffic.lines) == 2  # those with one URL share its connection
+        assert len(gateway_.traffic.lines) == 2  # routes with one URL share its connection
 
 
 def test_the_gateway_itself_is_unit_255_with_its_statistics(lan: Lan) -> None:

@@ -39,7 +39,7 @@ async def test_a_silent_unit_is_paused_and_then_tried_with_one_request(plant: Pl
     plant.ask(9, first)
     plant.ask(9, second, INPUTS)
     await asyncio.sleep(TIMEOUT + 0.1)
-    # Who waits for the same unit is told at once.
+    # Requests that wait for the same unit are refused at once.
     assert first.answers == [REFUSED]
     assert second.answers == [f"84{NO_ANSWER:02x}"]
     plant.ask(9, third)
@@ -110,7 +110,7 @@ async def test_a_unit_without_an_answer_is_paused(plant: Plant, caplog) -> None:
     plant.ask(9, asker)
     await asyncio.sleep(0.4)
     assert not plant.unit(9).is_silent
-    plant.ask(9, asker, UNKNOWN)  # it is paused no longer than its unit
+    plant.ask(9, asker, UNKNOWN)  # the function is paused no longer than its unit
     await asyncio.sleep(1)
     assert asker.answers[-1] == "0800000001"
     assert logged(caplog) == [
@@ -253,7 +253,7 @@ def test_the_queue_of_all_clients_together_is_limited(monkeypatch: pytest.Monkey
 )
 @on_line("tcp://10.0.0.1?max_in_flight=2")
 async def test_no_answer_is_cached_that_may_be_older_than_a_write(plant: Plant, requests, is_kept):
-    """Both may be on their way together: nobody knows which one the device does first."""
+    """Both may be in flight together: it is unknown which one the device executes first."""
     for request in requests:
         plant.ask(2, Asker(), request, age=1)
     await asyncio.sleep(0.5)
@@ -349,7 +349,7 @@ async def test_a_read_is_not_answered_from_before_a_write(
 ) -> None:
     plant.ask(1, Asker())
     first, second, alone = Asker(), Asker(), Asker()
-    plant.ask(2, alone)  # another route of the line, whose reads join none
+    plant.ask(2, alone)  # reads of another route of the line are not joined
     plant.ask(2, first, merge=True, age=60)
     plant.ask(unit, Asker(), request)
     plant.ask(2, second, merge=True, age=60)

@@ -107,7 +107,7 @@ def test_only_an_authorize_that_raises_is_recorded_and_not_equal_answers(
             for read in (client.read_coils, client.read_discrete_inputs):
                 with pytest.raises(ExceptionResponse):
                     read(0, 1)
-            with pytest.raises(IllegalFunction):  # neither has such a function
+            with pytest.raises(IllegalFunction):  # the device and the gateway lack this function
                 client.execute(pdu.EncapsulatedTransport(13, b""))
     illegal, busy = "illegal function (exception 1)", "server device busy (exception 6)"
     assert [row for row in rows(events) if row[0] == "refused"] == [

@@ -149,7 +149,7 @@ def test_a_page_shows_lines_and_units_and_clients_of_a_gateway(monkeypatch: pyte
             Client(running.urls[0], unit=1, timeout=10) as plc,
             table_page(TableSource(view)) as page,
         ):
-            # Nobody looks at the page yet.
+            # No page is open yet.
             assert plc.read_holding_registers(3, 2) == [0, 0]
             for unit in (2, 9):
                 with pytest.raises(GatewayTargetFailedToRespond):

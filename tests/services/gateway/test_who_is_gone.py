@@ -1,4 +1,4 @@
-"""What nobody waits for any more is not sent; and what a silent function costs."""
+"""Requests of clients that left are not sent; and the cost of a silent function."""
 
 import asyncio
 

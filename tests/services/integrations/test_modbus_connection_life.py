@@ -199,7 +199,7 @@ async def test_one_request_is_in_flight_at_a_time_whoever_asks(server: Scripted,
 @pytest.mark.parametrize("turns", range(12))
 @served()
 async def test_cancelled_reads_do_not_mix_answers(server: Scripted, connection: Any, turns: int):
-    """It leaves neither a lock held nor a link that answers the wrong request."""
+    """No lock stays locked, and no connection answers the wrong request."""
     asking = asyncio.create_task(read(connection, 1))
     for _ in range(turns):
         await asyncio.sleep(0)

@@ -150,7 +150,7 @@ def test_metrics_of_both_clients_and_the_server_match_the_requests(registry: Col
 
 
 def test_the_histogram_counts_each_answer_in_its_interval(registry: CollectorRegistry) -> None:
-    """Each bound that is beyond the way to the peer has an answer that comes before it."""
+    """Each bound longer than the network delay has an answer just below it."""
     network = Network()
     took = [0.9 * bound for bound in TIME_BOUNDS if bound > 2 * WAY]
     delays = [*(seconds - WAY for seconds in took), 60.0]
@@ -209,7 +209,7 @@ def test_names_and_texts_follow_the_rules_of_prometheus(registry: CollectorRegis
     for line in text.splitlines():
         if not line.startswith("#"):
             assert re.match(r"modbus_(client|server|fleet)_[a-z_]+[ {]", line)
-    # The stricter form of the same.
+    # The stricter form of the same parser.
     strict = [*parse_openmetrics(generate_openmetrics(registry).decode())]
     assert {entry.name for entry in strict} == families.keys()
 
@@ -230,7 +230,7 @@ def test_endpoints_are_labels_without_settings(registry: CollectorRegistry) -> N
     plc = Client("rtu:///dev/null?baudrate=9600&timeout=0.1")
     collect(plc, Client("tcp://[::1]:1502?unit=3"), registry=registry)
     labels = {dict(labels).get("endpoint") for _, labels in values(registry)}
-    assert labels == {"rtu:///dev/null"}  # nobody has the other one
+    assert labels == {"rtu:///dev/null"}  # no device has the other label
     plc.close()
 
 
@@ -256,7 +256,7 @@ def test_a_client_is_counted_once_however_often_it_is_added(registry: CollectorR
 
 
 def test_a_counter_does_not_fall_when_one_of_two_clients_is_dropped(registry: CollectorRegistry):
-    """Prometheus would take that for a restart, and what is left for new."""
+    """Prometheus would take a lower value for a restart, and count the rest again."""
     name = "requests_sent_total"
     with served() as (_, url), Client(url) as stays:
         collect(stays, registry=registry)

@@ -1,4 +1,4 @@
-"""What a worker decides at each look at its clock: what it writes, what it polls, when."""
+"""The decisions of a worker at each look at its clock: its writes and its polls."""
 
 import math
 from typing import Any

@@ -207,7 +207,7 @@ def test_a_journal_that_was_deleted_is_replaced(path: str, endings, caplog) -> N
     rows = in_journal(path)
     assert rows == broker.ids[-len(rows) :]
     assert 15 <= len(rows) < len(broker.ids)
-    # What was behind the last entry in memory is delivered, too.
+    # Readings after the last entry in memory are delivered, too.
     assert away.ids == broker.ids
     assert journal_of(fleet).dropped == 0
     message = f"{path}: was deleted or replaced while it was in use; a new journal begins"
@@ -248,7 +248,7 @@ def test_another_file_at_the_path_of_the_journal_is_kept(path: str, tmp_path: Pa
 
 
 def test_the_journal_of_another_program_at_the_path_is_left_alone(path: str) -> None:
-    """All its files were deleted, and a second fleet was started."""
+    """All files of the journal were deleted, and a second fleet was started."""
     first, second = JournalFile(path, 1e9, 10**9), JournalFile(path, 1e9, 10**9)
     with contextlib.closing(first), contextlib.closing(second):
         first.open([])

@@ -93,7 +93,7 @@ def test_memory_is_bounded_while_a_disk_is_full(
         assert fleet.statistics.outputs["away"].dropped == dropped  # they were on no disk
 
     run_for(path, 100, broker, away, change=fill)
-    assert len(broker.ids) == len({*broker.ids})  # this one had them from memory
+    assert len(broker.ids) == len({*broker.ids})  # this output had the readings from memory
     assert away.ids == in_journal(path)
     assert caplog.text.count("the oldest are dropped") == 1
 
@@ -101,7 +101,7 @@ def test_memory_is_bounded_while_a_disk_is_full(
 async def come_back(fleet: Fleet, away: FakeOutput) -> None:
     """Let the output take readings again, until none waits."""
     away.is_away = False
-    await asyncio.sleep(30)  # the longest pause between its tries
+    await asyncio.sleep(30)  # the longest pause between the output's attempts
     await until(lambda: fleet.statistics.outputs["away"].waiting == 0)
 
 
@@ -136,7 +136,7 @@ def test_damage_that_a_reader_finds_is_repaired_too(path: str, reader: Failing) 
     async def damage(fleet: Fleet) -> None:
         reader.error = DAMAGED
         away.is_away = False
-        await asyncio.sleep(30)  # the longest pause between its tries
+        await asyncio.sleep(30)  # the longest pause between the output's attempts
         await until(lambda: Path(f"{path}-damaged").exists())
         reader.error = None
         await asyncio.sleep(100)

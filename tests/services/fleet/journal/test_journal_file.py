@@ -150,7 +150,7 @@ def test_places_are_kept_for_each_output(path: str) -> None:
     assert second.first >= first.first + 9 + MARGIN or second.first > first.first + 10
     assert second.places == {"a": (first.first + 3, 6), "new": (second.first - 1, 0)}
     file.close()
-    file.open(["new"])  # an output that is away keeps its place
+    file.open(["new"])  # an output that is not connected keeps its place
     file.close()
     assert dict(query(path, "SELECT * FROM place"))["a"] == first.first + 3
 
@@ -172,7 +172,7 @@ def test_old_readings_are_deleted_after_all_outputs_confirmed_them(path: str) ->
     assert file.write_polls([*old, *now], {}, 8).deleted[-1] == (
         7,
         2,
-    )  # later ones wait for an output
+    )  # later readings wait for an output
     assert file.write_polls([], {}, 40).deleted[-1] == (19, 2)
     assert file.write_polls([], {}, 40).deleted == []
     assert query(path, "SELECT min(id), count(*) FROM poll") == [(21, 10)]
@@ -183,7 +183,7 @@ def test_old_readings_are_deleted_after_all_outputs_confirmed_them(path: str) ->
 def test_a_clock_that_is_wrong_for_a_while_deletes_few_readings(path: str, now, monkeypatch):
     file = opened(path, keep=90 * DAY)
     file.write_polls(polls(1, 1000, time=time.time()), {}, 10_000)
-    file._to_delete = 0  # what these allowed was used up long ago
+    file._to_delete = 0  # the deletions that these allowed were made long ago
     monkeypatch.setattr(journal_file, "time", SimpleNamespace(time=lambda: now, monotonic=float))
     file.write_polls(polls(5001, 3, time=now), {}, 10_000)
     [[count]] = query(path, "SELECT count(*) FROM poll WHERE id < 5000")

@@ -177,7 +177,7 @@ async def test_entities_are_available_while_the_poller_and_the_device_answer(bro
             fleet.replace(devices)
             await until(lambda: home.is_available("power", "a"))
         await until(lambda: not home.is_available("power", "a"))
-        assert len(home.entities) == 6  # they are only unavailable
+        assert len(home.entities) == 6  # the entities are only unavailable
 
 
 def points(count: int) -> RegisterMap:
@@ -402,7 +402,7 @@ def test_a_device_that_another_worker_polls_keeps_its_entities() -> None:
     assert messages_of(discovery_, device, "good") == []  # readings that waited
     assert list(discovery_.last_messages()) == []
     discovery_.describe({"a": replace(device)})
-    assert len(messages_of(discovery_, device, "good")) == 3  # the other may have deleted them
+    assert len(messages_of(discovery_, device, "good")) == 3  # the other worker may have done so
     assert messages_of(discovery_, device, "good") == []
     discovery_.describe({"a": replace(device)})  # the file was read again
     assert messages_of(discovery_, device, "good") == []

@@ -158,7 +158,7 @@ async def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:
         assert device.mapping.holding_registers[2] == 22
         assert fleet.statistics.commands == 2
         assert fleet.statistics.refused_commands == len(cases) - 2
-        # One that the broker kept was meant for yesterday.
+        # A retained command is an old one.
         await publish(broker, "modbus/a/setpoint/set", b"15", retain=True)
         await until(lambda: device.mapping.holding_registers[2] == 15)
     async with commanded(broker, commands=True) as (fleet, messages, device):

@@ -58,7 +58,7 @@ def values(kind: str, path: Path) -> list[str]:
 
 @pytest.mark.parametrize("kind", KINDS)
 class TestOthers:
-    """What others do to the file while it is open."""
+    """Other programs change the file while it is open."""
 
     @pytest.mark.parametrize("way", ["renamed", "created", "deleted", "emptied"])
     def test_a_new_file_begins_with_the_next_reading(self, tmp_path: Path, kind: str, way: str):

@@ -205,7 +205,7 @@ async def test_a_connection_is_closed_when_no_task_waits_for_the_broker() -> Non
         with accepted:
             await loop.sock_recv(accepted, 1000)
             opening.cancel()
-            with pytest.raises(asyncio.CancelledError) as caught:  # which keeps all that it names
+            with pytest.raises(asyncio.CancelledError) as caught:  # it keeps objects in memory
                 await opening
             assert caught.value
             assert await asyncio.wait_for(loop.sock_recv(accepted, 1), 10) == b""
@@ -216,7 +216,7 @@ async def test_readings_of_qos_0_are_sent_again_if_the_broker_died_before(
 ) -> None:
     output = Mqtt(broker.url)
     await output.open_output()
-    broker.send_signal(signal.SIGSTOP)  # what is sent stays in its socket
+    broker.send_signal(signal.SIGSTOP)  # messages stay in the socket of the broker
     writing = asyncio.create_task(output.write_readings([reading("a", 1)]))
     await asyncio.wait([writing], timeout=0.2)
     broker.kill()
