@@ -24,11 +24,11 @@ def raw(visitor: Visitor, data: bytes, *, ends: bool = False) -> bytes:
     """Send bytes, give all that comes back."""
     received = b""
     with socket.create_connection(visitor.address, 20) as connection:
-        with suppress(OSError):  # it may have had enough before
+        with suppress(OSError):  # the page may have closed the connection before
             connection.sendall(data)
             if ends:
                 connection.shutdown(socket.SHUT_WR)
-        with suppress(ConnectionResetError):  # it did not read all of it
+        with suppress(ConnectionResetError):  # the page did not read all bytes
             while piece := connection.recv(65536):
                 received += piece
     return received

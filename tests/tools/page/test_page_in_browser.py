@@ -57,7 +57,7 @@ def test_a_browser_shows_and_changes_values() -> None:
         until(lambda: plc.read_holding_registers(2, 1) == [125])
         person.sees("#answer", "set")
 
-        # What cannot be is told beside the field.
+        # A value that is refused is reported beside the field.
         person.enters("#text", "hot")
         person.click("#set")
         person.sees("#answer", "value must be a number, not 'hot'")
@@ -126,7 +126,7 @@ def test_a_browser_shows_large_tables_and_a_stopped_server() -> None:
             person.driver.get(f"{page.url}#every/holding_registers")
             person.sees("#state", "connected")
             person.sees('[data-cell="0"]', "0")
-            assert len(person.all("[data-cell]")) < 1000  # only what is seen is there
+            assert len(person.all("[data-cell]")) < 1000  # only the rows in view exist
             person.one("#address").send_keys("65535\n")
             person.sees('[data-cell="65535"]', "4711")
             assert person.focused("data-cell") == "65535"
@@ -351,7 +351,7 @@ def test_long_and_hostile_names_are_shown_as_plain_text(width: int) -> None:
         until(lambda: person.attribute("#grid", "aria-rowcount") == "3")
         person.sees("#rows tr.trouble .state", "192.0.2.10: Connection refused")
         assert person.run(CUT) == []
-        person.click("#problems")  # there, rows have room for more words
+        person.click("#problems")  # on this page, rows have room for more words
         meter.reason = f"cannot connect to {'a-long-name.' * 8}: Connection refused"
         person.sees("#rows tr.trouble .state", "a-long-name.: Connection refused")
         assert person.run(CUT) == []

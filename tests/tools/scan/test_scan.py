@@ -19,8 +19,8 @@ from tests.support.peers import FakeServer, mbap, mute_port, refusing, url_of
 from tests.support.pymodbus_peers import pymodbus_serving
 from tests.tools.scan.simulated_bus import Member, SimulatedBus, answering, line, of, served
 
-QUICK = 0.05  # seconds for the answer of somebody who is not there
-PATIENT = 1.0  # for one who is, on a busy machine
+QUICK = 0.05  # seconds for the answer of a missing unit
+PATIENT = 1.0  # seconds for the answer of a unit, on a busy machine
 
 READING = {1, 2, 3, 4, 17, 43}
 
@@ -76,7 +76,7 @@ def test_three_units_are_found_at_their_two_rates(network: Network, scheme: str)
         assert unit.took < 0.2  # the first answer on a line is held for longer
     assert only_read([request[2] for request in bus.asked])
     assert scanned.requests == len(bus.asked)
-    with Client(units[0].url) as client:  # the URL is one of a client
+    with Client(units[0].url) as client:  # the URL can be used by a client
         assert client.read_holding_registers(0, 10) == [0] * 10
 
 
@@ -187,7 +187,7 @@ def test_units_are_found_over_networks(network: Network, scheme: str) -> None:
 )
 def test_a_server_that_ignores_the_unit_is_one_device(scheme: str, tables: Any) -> None:
     with FakeServer(lambda request: [mbap(request, b"\x03\x02\0\1", unit=255)]) as server:
-        (device,) = all_of(scan(server.url, timeout=PATIENT))  # 255 in all of its answers
+        (device,) = all_of(scan(server.url, timeout=PATIENT))  # unit 255 in all answers
         assert device.is_any
     with Server(meter(**tables)).background(f"{scheme}://127.0.0.1:0") as running:
         scanned = scan(running.urls[0], timeout=PATIENT)

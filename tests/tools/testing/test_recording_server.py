@@ -24,7 +24,7 @@ BUSY = Fault("exception", code=6)
 
 @pytest.fixture
 def quiet(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
-    """Nobody may warn, to the end."""
+    """No warning may be logged until the end."""
     with caplog.at_level(logging.WARNING):
         yield
     assert caplog.get_records("call") + caplog.get_records("teardown") == []
