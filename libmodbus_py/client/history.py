@@ -145,7 +145,7 @@ class History:
 
 
 def _asked(request: bytes) -> bytes:
-    """Return what is asked for: the answer to a write does not depend on the values."""
+    """Return a request without the values of a write, on which the answer does not depend."""
     return request[:5]
 
 

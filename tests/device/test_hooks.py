@@ -38,7 +38,7 @@ def made_device(kind: str, call: Callable[[Any], Any]) -> Device:
 
 
 def raising(make: Callable[[], BaseException]) -> Callable[[Any], Any]:
-    """One made anew: its traceback would keep all that was there alive."""
+    """Return a new exception: the traceback of a shared one would keep objects in memory."""
 
     def fail(_: Any) -> None:
         raise make()

@@ -162,7 +162,7 @@ def test_other_threads_see_an_update_as_a_whole() -> None:
     assert torn == []
 
 
-def test_a_device_of_the_path_of_a_map(tmp_path: Path) -> None:
+def test_a_device_is_made_from_the_path_of_a_map(tmp_path: Path) -> None:
     path = tmp_path / "boiler.csv"
     path.write_text("name,table,address,scale\nsetpoint,holding,3,0.1\n")
     for place in (path, str(path)):

@@ -133,7 +133,7 @@ MEANT = [
 
 
 @each_case(("keys", "cells", "judged"), MEANT)
-def test_decoded_values_are_judged(keys: dict[str, Any], cells: list[Any], judged: Value) -> None:
+def test_invalid_values_have_reasons(keys: dict[str, Any], cells: list[Any], judged: Value) -> None:
     point_ = point(**keys)
     assert point_.judge(cells) == judged
     assert point_.decode(cells) == judged.value

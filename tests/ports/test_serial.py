@@ -1,4 +1,4 @@
-"""Serial ports: silence, settings, who may have them, and what a read of nothing means."""
+"""Serial ports: silence, settings, locks, and reads that return no bytes."""
 
 import errno
 import fcntl

@@ -1,4 +1,4 @@
-"""The command map: what it says of files and makes of devices; and what sunspec prints of one."""
+"""The command map with files and with devices; and the output of sunspec for a device."""
 
 import os
 import signal

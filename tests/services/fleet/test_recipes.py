@@ -221,7 +221,7 @@ async def test_the_button_of_node_red_writes_a_value(plant: Path, broker: Broker
     assert result["ok"] is True
 
 
-async def test_home_assistant_finds_a_device_that_goes_in_a_reload(plant: Path, broker: Broker):
+async def test_home_assistant_finds_a_device_removed_in_a_reload(plant: Path, broker: Broker):
     from tests.services.fleet.outputs.home_assistant import home_assistant
 
     before = plant.read_text()

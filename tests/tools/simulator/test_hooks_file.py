@@ -1,4 +1,4 @@
-"""Hooks in a file of Python: what devices call, and what is said of a file with a mistake."""
+"""Hooks in a file of Python: which are called, and the errors of a file with a mistake."""
 
 import os
 from pathlib import Path
