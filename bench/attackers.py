@@ -67,7 +67,7 @@ class Polled:
 
 class Innocent:
     """
-    A client that reads what it wrote, every two milliseconds.
+    A well-behaved client that reads what it wrote, every two milliseconds.
 
     Args:
         pki: for TLS.
@@ -96,7 +96,7 @@ class Innocent:
         self._connection.close()
 
     def poll(self, seconds: float, until: Callable[[], bool] = lambda: True) -> Polled:
-        """Ask for so many seconds, and until that is true."""
+        """Ask for so many seconds, and until a function returns True."""
         polled = Polled()
         end = time.perf_counter() + seconds
         while time.perf_counter() < end or not until():
@@ -135,7 +135,7 @@ class Innocent:
 
 
 class Done(NamedTuple):
-    """What an attack came to: connections made, bytes sent and received."""
+    """The figures of an attack: connections made, bytes sent and received."""
 
     connected: int
     sent: int
@@ -177,7 +177,7 @@ class AttackerProcess:
     def end(self) -> Done:
         assert self._process.stdin is not None
         self._process.stdin.close()
-        self._process.stdin = None  # communicate() would flush it
+        self._process.stdin = None  # with stdin open, communicate() would flush stdin
         line = self._read_line()
         return Done(*json.loads(self._read_line() if line == "all\n" else line))
 
@@ -199,7 +199,7 @@ class Attackers:
         self._pauses: list[tuple[float, int, Attacker]] = []
 
     def run(self, until: IO[str]) -> Done:
-        """Attack until there is something to read."""
+        """Attack until standard input can be read."""
         self.selector.register(until, selectors.EVENT_READ)
         for number in range(self.attack.connections):
             self.add(number)
@@ -278,7 +278,7 @@ class Attacker:
             self._begin_again()
 
     def go_on(self) -> None:
-        """Take the next step."""
+        """Take the next step of the attack."""
         step = next(self._script, None)
         if step is None:
             self._begin_again()

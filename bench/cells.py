@@ -28,7 +28,7 @@ from bench.children import (
 
 
 class Key(NamedTuple):
-    """Where a number stands."""
+    """The cell of a number in the tables."""
 
     section: str
     variant: str
@@ -59,12 +59,12 @@ Cells = dict[Key, Callable[[float], Measured]]
 
 
 OURS = "libmodbus_py"
-BEFORE = "libmodbus_py, before"  # another state of it, with an interpreter of its own
+BEFORE = "libmodbus_py, before"  # another state of this package, with an interpreter of its own
 C = "C"  # the program is one of ours in C, not in Python
 
 
 class Peer(NamedTuple):
-    """A program: what it is called, what runs it, and the package it needs, or `C`."""
+    """A program: its name, the command that runs it, and the package it needs, or `C`."""
 
     name: str
     program: str
@@ -101,7 +101,7 @@ class Tools:
         return python(script, peer.program, *arguments, interpreter=interpreter)
 
     def present(self, peers: list[Peer]) -> Iterator[Peer]:
-        """Return those whose package is installed; each of ours twice if there is a `before`."""
+        """Return the peers whose package is installed; ours twice if there is a `before`."""
         for peer in peers:
             if is_present(peer):
                 yield peer
@@ -377,7 +377,7 @@ def limit(_: ExitStack, tools: Tools) -> Cells:
 def measure_pingpong(
     program: str, sizes: tuple[int, int], seconds: float, *, on_one: bool = False
 ) -> Measured:
-    # Children are where their parent is.
+    # Children run on the processors of their parent.
     with on_one_processor(os.getpid()) if on_one else nullcontext():
         return Measured(**run([program, *map(str, sizes), str(seconds)]))
 

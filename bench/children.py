@@ -23,14 +23,14 @@ from typing import Any, Self
 HERE = Path(__file__).parent
 # Seconds that a child may take beyond the time it was told to.
 PATIENCE = 40
-# Descriptors that a server may open for itself when its first client comes.
+# Descriptors that a server may open for itself when its first client connects.
 SPARE = 8
 PR_SET_PDEATHSIG = 1
 LIBC = ctypes.CDLL(None)
 
 
 class Failed(Exception):
-    """A child could not do what it was told; says why."""
+    """A child did not do what it was told; the message says why."""
 
 
 def compile_all(folder: Path) -> None:
@@ -53,7 +53,7 @@ class Child:
     """A process that talks in lines: a server tells its place, a client takes orders."""
 
     def __init__(self, command: list[str]) -> None:
-        # A file: a pipe that nobody reads would stop the child when it is full.
+        # A file, because a full pipe that nobody reads would stop the child.
         self._complaints = tempfile.TemporaryFile("w+", errors="replace")  # noqa: SIM115
         self._process = subprocess.Popen(
             command,
@@ -109,7 +109,7 @@ class Child:
 
 
 def run(command: list[str], patience: float = PATIENCE) -> Any:
-    """Run a program to its end, give its JSON."""
+    """Run a program to its end, and return the JSON that it printed."""
     try:
         output = subprocess.run(
             command,
@@ -127,7 +127,7 @@ def run(command: list[str], patience: float = PATIENCE) -> Any:
 
 
 def processor_time(pid: int) -> float:
-    """Return the seconds of processor time, its own and the system's, of all threads."""
+    """Return the seconds of processor time of all threads, user and system time."""
     clock = ctypes.c_int()
     if LIBC.clock_getcpuclockid(pid, ctypes.byref(clock)) != 0:
         raise Failed("the server died")

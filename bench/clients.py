@@ -27,7 +27,7 @@ IN_FLIGHT = 16
 
 
 class Block(NamedTuple):
-    """What one request reads."""
+    """The cells that one request reads."""
 
     address: int
     count: int
@@ -169,7 +169,7 @@ def pymodbus_rtu(place: str, blocks: list[Block]) -> Iterator[Read]:
 def pymodbus_async(place: str, blocks: list[Block]) -> Iterator[Read]:
     from pymodbus.client import AsyncModbusTcpClient
 
-    # It keeps one request in flight whatever is asked of it: gather would be slower.
+    # The client keeps one request in flight, so that gather would only be slower.
     async def read_all(client: Any) -> list[list[int]]:
         return [
             (await client.read_holding_registers(address, count=count)).registers

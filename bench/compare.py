@@ -15,7 +15,7 @@ from bench.report import grid, number
 Cell = dict[str, Any]
 """A cell as it stands in the JSON."""
 
-# What is slower than that is pointed at.
+# Ratios below this are marked.
 SLOWER = 0.95
 
 
@@ -32,7 +32,7 @@ def taken_turns(cells: list[Cell]) -> list[Cell]:
 
 
 def side_by_side(earlier: list[Cell], later: list[Cell]) -> str:
-    """Return a table of the cells that are in both and went well in both."""
+    """Return a table of the cells that both results have without a failure."""
     was = {key_of(cell): cell for cell in sound(earlier)}
     rows = [row(was[key_of(cell)], cell) for cell in sound(later) if key_of(cell) in was]
     head = ["after / before", "before", "after", "ratio", "us before", "us after", "ratio", ""]

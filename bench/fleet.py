@@ -156,7 +156,7 @@ def servers(connections: int, units: int, registers: int) -> Iterator[list[str]]
 
 @contextmanager
 def kept() -> Iterator[Journal]:
-    """A journal on the disk of this folder."""
+    """A journal on the disk of this folder, without other outputs."""
     with tempfile.TemporaryDirectory(dir=".") as folder:
         yield Journal(f"{folder}/fleet.db")
 
@@ -235,7 +235,7 @@ async def wait(fleet: Fleet, seconds: float, what: str) -> None:
 
 
 def percentile(counts: list[int], share: float) -> float:
-    """The bound below which so many are."""
+    """The bound below which the given share of the values is."""
     left = share * sum(counts)
     for bound, count in zip((*LATENESS_BOUNDS, float("inf")), counts, strict=True):
         left -= count

@@ -95,7 +95,7 @@ def told(what: str, direct: float, through: float) -> None:
 
 
 def silent_unit(count: int = 500) -> None:
-    """One client polls a good unit and a dead one in turn, as most do."""
+    """One client polls a good unit and a silent one in turn, as most clients do."""
     with Bus() as bus, gateway(f"rtu://{bus.path}?timeout=0.5") as url:
         waits: list[float] = []
         with Client(url, timeout=5) as context:

@@ -59,14 +59,14 @@ VALGRIND = [
 
 
 class Count(NamedTuple):
-    """What one process did."""
+    """The instructions and requests of one process."""
 
     instructions: int
     requests: int
 
 
 class Case(NamedTuple):
-    """A row: what runs so many requests, and the package that it needs, or `C`."""
+    """A row: the command for so many requests, and the package that it needs, or `C`."""
 
     name: str
     run: Callable[[Tools, int], Count]
@@ -114,7 +114,7 @@ def under_valgrind(command: list[str]) -> Iterator[CountedProcess]:
 
 @contextmanager
 def server(tools: Tools, peer: Peer = C_TCP_SERVER) -> Iterator[str]:
-    """Run a server that is not counted; yield its port."""
+    """Run a server whose instructions are not counted; yield its port."""
     with Child(tools.command(peer, "servers.py")) as child:
         yield child.read_line()
 
@@ -233,7 +233,7 @@ def measure(cases: list[Case]) -> dict[str, int | str]:
 
 
 def here() -> str:
-    """Return what figures depend on, as the numbers in the tree name it."""
+    """Return the versions and the processor that figures depend on, in the form of the file."""
     return f"{platform.python_implementation()} {platform.python_version()}, {platform.machine()}"
 
 

@@ -15,7 +15,7 @@ from bench.cells import SERVERS, RunningServer, Tools, start_server
 from bench.children import Failed, resident_memory
 
 FEW, MANY = 100, 1000  # connections
-WITHIN = 20.0  # seconds, for all of them
+WITHIN = 20.0  # seconds for all connections
 REQUEST = bytes.fromhex("0001 0000 0006 01 03 0000 000a")
 ANSWER_SIZE = 29
 

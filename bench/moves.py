@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 ROOT = str(Path(libmodbus_py.__file__).parent)
 
-# Before the request that is measured: caches are filled, and what is imported late is there.
+# Requests before the one that is measured: caches are filled, late imports done.
 BEFORE = 5
 
 
@@ -75,7 +75,7 @@ class Profile:
 
 @contextmanager
 def profiled(name: str) -> Iterator[None]:
-    """Print what the block does in the package."""
+    """Print the calls in the package while the block runs."""
     profile = Profile()
     sys.setprofile(profile)
     try:
@@ -111,7 +111,7 @@ async def exchanged(url: str) -> Callable[[], Awaitable[Any]]:
     async def exchange() -> None:
         writer.write(bytes.fromhex("0001 0000 0006 01 03 0000 000A"))
         await reader.readexactly(29)
-        await asyncio.sleep(0)  # and what follows the answer
+        await asyncio.sleep(0)  # and the steps after the answer
 
     for _ in range(BEFORE):
         await exchange()

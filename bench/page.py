@@ -59,7 +59,7 @@ def served() -> Iterator[tuple[int, str]]:
 
 
 def cpu(pid: int) -> float:
-    """Seconds of processor time so far."""
+    """The seconds of processor time so far."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -90,7 +90,7 @@ def in_chromium(pid: int, url: str, seconds: float) -> tuple[float, float]:
 
 
 def at_all_cells(pid: int, url: str, seconds: float) -> tuple[float, float]:
-    """The same of somebody without a window, to whom all cells are sent each time."""
+    """The same for a page without a view, to which all cells are sent each time."""
     visitor = Visitor(url)
     times = 0
     is_over = threading.Event()

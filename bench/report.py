@@ -42,7 +42,7 @@ NOTE_WIDTH = 60
 
 @dataclass
 class Report:
-    """All there is to tell."""
+    """The whole report."""
 
     rounds: int
     seconds: float
@@ -57,7 +57,7 @@ class Report:
 
 
 def machine() -> dict[str, Any]:
-    """Return what the numbers depend on."""
+    """Return the machine and versions that the numbers depend on."""
     return {
         "processor": processor_name(),
         "processors": len(os.sched_getaffinity(0)),
@@ -160,7 +160,7 @@ def unique(items: Iterator[str]) -> list[str]:
 
 
 def with_notes(table: str, results: Results, keys: list[Key], label: Callable[[Key], str]) -> str:
-    """Add below the table what went wrong, and what was reached all the same."""
+    """Add the failures below the table, and the numbers that were reached all the same."""
     lines = [table]
     for key in keys:
         if note := results.note(key):

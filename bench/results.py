@@ -77,7 +77,7 @@ def run_rounds(section: str, cells: Cells, rounds: int, seconds: float, results:
 def with_progress(
     turns: list[tuple[Key, Callable[[float], Measured]]], title: str
 ) -> Iterable[tuple[Key, Callable[[float], Measured]]]:
-    """Say on a terminal how far it is; nothing elsewhere."""
+    """Show progress on a terminal; nothing elsewhere."""
     for number, turn in enumerate(turns, 1):
         if sys.stderr.isatty():
             print(f"\r\033[K{title}: {number} of {len(turns)}", end="", file=sys.stderr, flush=True)

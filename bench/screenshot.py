@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 WIDTH, HEIGHT = 1200, 700
 MOST_BYTES = 120_000
 EXAMPLES = ROOT / "examples"
-# The meter of the examples has none.
+# The meter of the examples has no faults of its own.
 FAULTS = [
     Fault("disconnect", table="input_registers", address=0, count=1, length=5, every=5),
     Fault("garbage", data=b"\0\xff", place="behind", probability=0.01),
@@ -57,7 +57,7 @@ def main() -> int:
 
 
 def talk(plc: Any, wait: Callable[[float], bool]) -> None:
-    """Read, write, and once in a while what there is not, on a line with faults."""
+    """Read and write, and now and then read a missing register, on a line with faults."""
     boiler = plc.for_unit(1)
     requests: list[Callable[[int], object]] = [
         lambda number: plc.read_input_registers(0, 7),

@@ -55,7 +55,7 @@ def ours_with_write_hook() -> None:
 
 
 def ours_with_metrics() -> None:
-    """As Prometheus scrapes it, but each second."""
+    """With Prometheus metrics that are scraped each second."""
     import prometheus_client
 
     from libmodbus_py.services.integrations.prometheus import collect
@@ -94,7 +94,7 @@ def pymodbustcp() -> None:
     bank.set_holding_registers(0, list(range(REGISTERS)))
     server = ModbusServer(HOST, 0, no_block=True, data_bank=bank)
     server.start()
-    announce(server._service.server_address[1])  # it has no other way to tell
+    announce(server._service.server_address[1])  # pymodbus tells its port in no other way
     server._serve_th.join()
 
 

@@ -54,7 +54,7 @@ def commands_of(tools: Tools, port: str) -> dict[str, list[str]]:
 
 
 def milliseconds(command: list[str]) -> float:
-    # As a user has it: compiled modules are kept.
+    # As for a user, whose Python keeps compiled modules.
     surroundings = {**os.environ}
     surroundings.pop("PYTHONDONTWRITEBYTECODE", None)
     begun = time.perf_counter()

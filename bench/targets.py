@@ -1,5 +1,5 @@
 """
-What we want to reach: ratios of two rates, and whether they are met.
+The targets: ratios of two rates, and whether they are met.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from bench.cells import (
 
 
 class Target(NamedTuple):
-    """`ours` is to be so many times as fast as `theirs`; or only aims at it."""
+    """`ours` must be so many times as fast as `theirs`; or is only intended to be."""
 
     ours: Key
     theirs: Key
@@ -38,7 +38,7 @@ class Target(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """A target and what was measured; None if one of the two was not."""
+    """A target and the measured ratio; None if one of the two was not measured."""
 
     target: Target
     ratio: float | None

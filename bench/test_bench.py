@@ -36,7 +36,7 @@ def run_bench(*arguments: object, module: str = "bench") -> str:
     return done.stdout
 
 
-@pytest.mark.timeout(600)  # it is one program that starts all the others
+@pytest.mark.timeout(600)  # one program starts all the others
 def test_short_run_measures_whatever_is_installed(tmp_path: Path) -> None:
     file = tmp_path / "bench.json"
     text = run_bench("--rounds", 1, "--seconds", 0.01, "--save", file)
@@ -65,7 +65,7 @@ def test_short_run_measures_whatever_is_installed(tmp_path: Path) -> None:
 
 
 def test_two_states_of_the_package_are_compared(tmp_path: Path) -> None:
-    """Here this one with itself: in turns, and with numbers that were saved."""
+    """Here the package with itself: in turns, and with numbers that were saved."""
     file = tmp_path / "bench.json"
     short = ("--only", "asyncio", "--rounds", 1, "--seconds", 0.01)
     checkout = BENCH.parent

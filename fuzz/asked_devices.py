@@ -1,5 +1,5 @@
 """
-Devices that note who asks them, and workers that do: what happens when one of these dies.
+Devices that record who asks them, and workers that ask: what happens when workers die.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class Asked:
 
 @contextlib.contextmanager
 def asked_devices(connections: int) -> Iterator[tuple[list[str], Asked]]:
-    """Serve ten units on each of so many ports; gives the URLs, and who asked."""
+    """Serve ten units on each of so many ports; return the URLs, and the record of requests."""
     asked = Asked()
     devices = {unit: Device(Mapping(holding_registers=10)) for unit in range(1, UNITS + 1)}
     server = Server(devices, trace=asked.note)
@@ -114,7 +114,7 @@ def asked_devices(connections: int) -> Iterator[tuple[list[str], Asked]]:
 def fleet_file(
     directory: Path, urls: list[str], *, interval: float, engine: str, zone: str = ""
 ) -> Path:
-    """Write a fleet file; gives its path."""
+    """Write a fleet file; return its path."""
     (directory / "map.toml").write_text(MAP)
     lines = ["name,url,unit,map,interval,timeout,zone"]
     lines += [
@@ -179,7 +179,7 @@ class Workers:
 
 
 def until(condition: Callable[[], bool], patience: float = 30) -> float:
-    """Wait for it; gives how long that took."""
+    """Wait until a function returns True; return how long that took."""
     start = time.monotonic()
     while not condition():
         if time.monotonic() > start + patience:

@@ -63,7 +63,7 @@ class Event(NamedTuple):
 
 
 class Hurt(NamedTuple):
-    """A frame, and what may be done to it."""
+    """A frame, and the faults that may happen to it."""
 
     frame: bytes
     framing: Framing
@@ -149,7 +149,7 @@ row; bytes lost; the rest lost; bytes doubled; all or the rest late; the frame o
 glued to it; noise before or behind it.
 """
 
-UNITS = (77, 78, 79)  # no units of the worked examples, which are the frames of others here
+UNITS = (77, 78, 79)  # no units of the worked examples, whose frames belong to other units here
 
 _EXAMPLES = json.loads(
     (Path(__file__).parents[1] / "tests" / "support" / "vectors.json").read_text()
@@ -214,7 +214,7 @@ class BadLine:
 
     @property
     def is_clean(self) -> bool:
-        """True if nothing that went wrong is still to come."""
+        """Return True if no fault and no late byte is still to come."""
         return self._armed is None and not self._late
 
     def arm(self, kind: str, sender: Sender) -> None:
@@ -222,7 +222,7 @@ class BadLine:
         self._armed = kind, sender
 
     def disarm(self) -> None:
-        """Let nothing more happen; what is late still comes."""
+        """Let no more faults happen; late bytes still come."""
         self._armed = None
 
     def _carry(self) -> None:

@@ -28,7 +28,7 @@ CLANG = "clang -g -O1 -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=
 
 
 def command(name: str, build: Path) -> list[str] | None:
-    """How to run a target; None if this machine cannot."""
+    """Return the command that runs a target; None if this machine cannot."""
     if TARGETS[name].check is not None:
         if importlib.util.find_spec("atheris") is None:
             print(

@@ -104,7 +104,7 @@ def check_stream(name: str, stream: bytes, sizes: Sequence[int]) -> None:
 
 
 def check_datagrams(datagrams: Sequence[bytes]) -> None:
-    """One frame or one error for each, whatever came before: so they cannot be cut or glued."""
+    """Each datagram is one frame or one error, whatever came before: none is cut or joined."""
     framer = UdpFramer()
     for datagram in datagrams:
         found = framer.scan(datagram)
@@ -163,13 +163,13 @@ def _pieces(stream: bytes, sizes: Sequence[int]) -> list[bytes]:
 
 
 def _outline(found: Found) -> list[Frame | None]:
-    """Frames, and None where there were errors."""
+    """Return the frames, and None in the place of each error."""
     frames = [entry if isinstance(entry, Frame) else None for entry in found]
     return [entry for key, run in groupby(frames) for entry in ([None] if key is None else run)]
 
 
 def check_device_file(text: str) -> None:
-    """It is devices, whose values can be read after any time, or one error of one line."""
+    """A file gives devices whose values can be read at any time, or one error of one line."""
     moment = [0.0]
     message = ""
     devices: Device | dict[int, Device] = {}
@@ -222,13 +222,13 @@ def _mistakes(read: Callable[[], object]) -> list[Exception]:
 
 
 def check_file(kind: str, text: str) -> None:
-    """It is read, or each mistake is one line."""
+    """A file is read, or each of its mistakes is one line."""
     for error in FILES[kind](text):
         assert "\n" not in str(error)
 
 
 def check_request(data: bytes) -> None:
-    """Decoded and the same again, or refused."""
+    """A PDU is decoded and encodes to the same bytes, or is refused."""
     request = _attempt(pdu.decode_request, data)
     if isinstance(request, ExceptionResponse):
         assert type(request) in (IllegalFunction, IllegalDataAddress, IllegalDataValue)
@@ -267,7 +267,7 @@ REQUEST_OBJECTS = _one_of_each()
 
 
 def check_response(request: pdu.Request[Any], data: bytes) -> None:
-    """Decoded, and the result survives another round; or an error that says so."""
+    """A PDU is decoded and its result encodes and decodes again, or an error has the reason."""
     result = _attempt(request.decode_response, data)
     if isinstance(result, ExceptionResponse):
         assert data[0] == request.function | 0x80
@@ -300,7 +300,7 @@ def new_device() -> Device:
 
 
 def check_device(requests: Sequence[bytes]) -> None:
-    """An answer to each request, or none to what has none; and every cell still a cell."""
+    """Each request is answered unless it must not be; and every cell is still valid."""
     device = new_device()
     for request in requests:
         answer = device.answer(request)
@@ -319,7 +319,7 @@ def check_device(requests: Sequence[bytes]) -> None:
 
 
 def check_role_value(value: bytes) -> str | None:
-    """One way to write each role, so that all who read it read the same; or an error."""
+    """Each role has one encoding, so that all programs read the same; or an error."""
     try:
         role = decode_role(value)
     except RoleError as error:
@@ -330,7 +330,7 @@ def check_role_value(value: bytes) -> str | None:
 
 
 def check_certificate(data: bytes) -> None:
-    """A role, none, or an error that says so, fit for a log."""
+    """A certificate has a role or none, or an error of one line fit for a log."""
     try:
         role = role_of(data)
     except RoleError as error:

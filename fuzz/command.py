@@ -29,7 +29,7 @@ def numbers(description: str | None, **defaults: int) -> list[int]:
 
 @contextlib.contextmanager
 def progress(what: str) -> Iterator[None]:
-    """Show how long it has been going on; nothing in a pipe."""
+    """Show the elapsed time on a terminal; nothing in a pipe."""
     if not sys.stderr.isatty():
         yield
         return

@@ -130,7 +130,7 @@ ONLY_ON_LINES = ("others A", "strays A", "started 1 A", "started 3 A")
 
 
 class Asked(NamedTuple):
-    """A request in a world, and the value of its register when it was asked."""
+    """A request in a world, and the value of its register at that time."""
 
     letter: str
     call: Call
@@ -356,7 +356,7 @@ class World:
     def judge(self, asked: Asked) -> None:
         outcome = asked.call.outcome
         failed = isinstance(outcome, BaseException)
-        if outcome is NOT_ASKED:  # behind one that failed
+        if outcome is NOT_ASKED:  # after a request that failed
             if asked.call.adu and asked.letter == "W":
                 self.errors.add("order")
         elif asked.letter == "W":
@@ -418,7 +418,7 @@ class World:
             for at in range(1, 60, 2):
                 self.put(self.now + at + 0.5, b"\x01")
             move = move[7:]
-        elif move.startswith("started"):  # while B is answered to another program
+        elif move.startswith("started"):  # while another program gets an answer from B
             forget_lines()
             self.make_client()
             self.silence = 0.0  # nothing is known of the times of the unit
@@ -547,7 +547,7 @@ STRIDE = 1_000_003
 
 
 class Found(NamedTuple):
-    """Worlds that were walked, their events, and their errors with an example each."""
+    """The number of worlds and events so far, and the errors with an example each."""
 
     worlds: int
     events: int

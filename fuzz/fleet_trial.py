@@ -35,12 +35,12 @@ INTERVAL = 2.0
 
 PATIENCE = 120.0
 
-# How long the whole engine is gone.
+# Seconds for which all NATS servers are stopped.
 GONE = 60.0
 
 NAMES = ("a", "b", "c")
 
-# The one whose way to NATS can be cut.
+# The worker whose connection to NATS can be cut.
 CUT = "a"
 
 
@@ -102,7 +102,7 @@ class Trial:
             await client.close()
 
     def measure(self, name: str, fault: Callable[[Trial], Callable[[], object]]) -> None:
-        """Do it, wait until everything is over, and mend what was broken."""
+        """Cause one fault, wait until everything is over, and repair the fault."""
         self.settle()
         doubles = self.asked.doubles
         self.asked.forget()

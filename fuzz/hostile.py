@@ -1,5 +1,5 @@
 """
-Clients that mean harm, or were written badly, and one that must not suffer from them.
+Clients that attack, or were written badly, and one that must not suffer from them.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def flood(chance: random.Random) -> bytes:
     return read * chance.randint(500, 3000)
 
 
-# Requests that write are left out: what they write would be right.
+# Requests that write are left out, because they would be carried out.
 FRAMES = [frame for frame in examples("tcp") if frame[7] in (1, 2, 3, 4, 7, 8, 11, 12, 17, 20, 24)]
 
 STREAMS: dict[str, Frames] = {
@@ -120,7 +120,7 @@ class Hostile:
 
     def _send(self, data: bytes) -> None:
         with socket.create_connection(("127.0.0.1", self._port), 5) as peer:
-            peer.settimeout(0.05)  # who does not read is not read
+            peer.settimeout(0.05)  # a client that does not read gets no answers read here
             while data:
                 size = self._random.choice([1, 7, 300, 5000, 100_000])
                 self.sent += peer.send(data[:size])

@@ -1,5 +1,5 @@
 """
-Inputs of a fuzzer: what their bytes mean to each target, and examples to begin with.
+Inputs of a fuzzer: how each target reads the bytes, and first examples.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def some_framers() -> list[bytes]:
 
 
 def pdus(data: bytes) -> None:
-    """Which request it answers, or none; the PDU."""
+    """The number of the request that the PDU answers, or none; then the PDU."""
     if not data:
         return
     which, data = data[0] % (len(REQUEST_OBJECTS) + 1), data[1:]
@@ -78,7 +78,7 @@ def some_pdus() -> list[bytes]:
 
 
 def devices(data: bytes) -> None:
-    """Requests, each with its size."""
+    """Requests, each after its size."""
     check_device([request for request in _sized(data) if 1 <= len(request) <= 253])
 
 
@@ -88,7 +88,7 @@ def some_devices() -> list[bytes]:
 
 
 def device_files(data: bytes) -> None:
-    """UTF-8; what is none counts as some letter."""
+    """Text in UTF-8; invalid bytes are replaced by letters."""
     check_device_file(data.decode("utf-8", "replace"))
 
 
@@ -100,7 +100,7 @@ def some_device_files() -> list[bytes]:
 
 
 def files(data: bytes) -> None:
-    """Which kind of file, and its text."""
+    """The kind of the file, and its text."""
     kind = sorted(FILES)[data[0] % len(FILES)] if data else "map.toml"
     check_file(kind, data[1:].decode("utf-8", "replace"))
 

@@ -69,7 +69,7 @@ class KilledPolls:
 
     @contextlib.contextmanager
     def running(self) -> Iterator[subprocess.Popen[bytes]]:
-        """Run the poll, and kill it."""
+        """Run the command poll, and kill it."""
         program = [sys.executable, "-m", "libmodbus_py", "poll", str(self._folder / "fleet.toml")]
         errors = (self._folder / "errors").open("ab")
         with errors, subprocess.Popen(program, stderr=errors) as process:
@@ -152,7 +152,7 @@ async def devices(count: int) -> AsyncIterator[list[str]]:
 
 
 class Broker:
-    """A mosquitto that keeps what it was given for its subscriber."""
+    """A mosquitto that keeps the messages for its subscriber."""
 
     def __init__(self, folder: Path) -> None:
         with socket.create_server(("127.0.0.1", 0)) as taken:

@@ -33,12 +33,12 @@ CHARACTER = 11 / 115200
 LATENCY = 0.001  # seconds that an adapter collects bytes
 SLOW_LATENCY = 0.016  # seconds that slow adapters do
 
-# Faults that leave the frame whole, with bytes beside it or a pause inside it.
+# Faults that leave the frame complete, with bytes beside the frame or a pause inside.
 HARMLESS = ("delay", "merge", "noise")
 
 
 class Told(NamedTuple):
-    """A frame as it was sent."""
+    """A frame as it was sent, and its time."""
 
     part: str
     frame: Frame

@@ -43,7 +43,7 @@ from cosmic_ray.work_item import MutationSpec, WorkResult
 from coverage import CoverageData
 
 PACKAGE, BUILD = Path("libmodbus_py"), Path("build/mutants")
-SECONDS = 20.0  # of tests for one mutant, as long as they take without it
+SECONDS = 20.0  # of tests for one mutant, measured without the mutant
 MEMORY = 4 << 30  # bytes: the tests of a mutant that collects for ever fail there
 
 
@@ -136,7 +136,7 @@ class Tests:
         self._data.read()
 
     def choose(self, mutation: MutationSpec) -> list[str]:
-        """Return the tests of a statement, or all about its file if no test executes it."""
+        """Return the tests of a statement, or all tests of its file if no test executes it."""
         path, line = mutation.module_path, mutation.start_pos[0]
         first = max(n.lineno for n in nodes(path) if isinstance(n, ast.stmt) and n.lineno <= line)
         contexts = self._data.contexts_by_lineno(str(path.resolve()))

@@ -29,7 +29,7 @@ ANSWER_S = 90.0
 
 
 def free_ports(count: int) -> list[int]:
-    """Ports that nobody has, and that no connection is given meanwhile: none of those of Linux."""
+    """Ports that no program has, and that Linux gives to no connection meanwhile."""
     found: list[int] = []
     while len(found) < count:
         port = _randrange(20_000, 32_000)
@@ -80,7 +80,7 @@ class NatsServers:
         return ",".join(f"nats://127.0.0.1:{port}" for port in self.ports)
 
     def start(self, number: int) -> None:
-        """Start one, again perhaps, and wait until it listens."""
+        """Start one server, perhaps again, and wait until it listens."""
         home = Path(self._directory.name, str(number))
         home.mkdir(exist_ok=True)
         command = [program("nats-server"), "-a", "127.0.0.1", "-p", str(self.ports[number])]
@@ -98,7 +98,7 @@ class NatsServers:
             process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=log)
         self._processes[number] = process
         until = time.monotonic() + 20
-        # Another server may listen on the port; this one writes a file once it does.
+        # Another program may listen on the port; this server writes a file once it listens.
         while not any(home.glob(f"*_{process.pid}.ports")):
             if process.poll() is not None or time.monotonic() > until:
                 raise RuntimeError(f"nats-server: {(home / 'log').read_text()[-2000:]}")
@@ -112,7 +112,7 @@ class NatsServers:
             self._processes[number] = None
 
     def ask(self, script: Callable[[Any], Awaitable[Result]], **options: Any) -> Result:
-        """Return what a coroutine returns that is given a client; options: of `nats.connect`."""
+        """Run a coroutine function with a client, and return its result."""
         import nats
 
         async def main() -> Result:
@@ -129,7 +129,7 @@ class NatsServers:
         """The number of the server that leads a stream; options: of `nats.connect`."""
 
         async def find(client: Any) -> int:
-            while True:  # while another one is elected there is none, or no answer
+            while True:  # during an election there is no leader, or no answer
                 with contextlib.suppress(Exception):
                     info = await client.jetstream(timeout=2).stream_info(stream)
                     if info.cluster is not None and info.cluster.leader:

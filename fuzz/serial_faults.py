@@ -23,7 +23,7 @@ __all__ = ["BAUDRATE", "LINES", "client", "on_a_line"]
 # The framing on each line.
 LINES: dict[str, Framing] = {"RTU": "rtu", "ASCII": "ascii"}
 
-BAUDRATE = 1_000_000  # a pty knows none; the client waits for the length of its frames
+BAUDRATE = 1_000_000  # a pty ignores the rate; the client waits for frames of this rate
 
 AT_A_TIME = 4  # lines of each kind, a process each: a transaction waits most of its time
 

@@ -30,10 +30,10 @@ TIMEOUT = 0.25  # the server has the hostile clients to deal with, too
 
 HOSTILES = 2
 
-# What an allocator may keep of what a flood needed for a while.
+# The memory that an allocator may keep after a flood.
 KEPT_KILOBYTES = 16_384
 
-# One unit for each line: none sees what another one writes.
+# One unit for each line, so that no client sees values of another one.
 UNIT = dict(zip(LINES, UNITS, strict=True))
 
 
@@ -69,7 +69,7 @@ def serve(urls: list[str]) -> None:
 
 @contextlib.contextmanager
 def served(lines: dict[str, BadLine]) -> Iterator[tuple[int, int]]:
-    """Run the server; gives its process and its port."""
+    """Run the server; return its process and its port."""
     urls = ["tcp://127.0.0.1:0"]
     urls += [
         f"{LINES[name][0]}://{line.server}?baudrate={BAUDRATE}" for name, line in lines.items()
@@ -101,7 +101,7 @@ def attack(port: int, seconds: float, seed: int) -> dict[str, int]:
 
 
 def settled(process: int, before: Size) -> Size:
-    """Connections that are over take a moment to be gone."""
+    """Wait until closed connections are counted as closed."""
     goes_on = seconds_left(5)
     while (size := Size.of(process)).has_grown_from(before) and goes_on():
         time.sleep(0.05)

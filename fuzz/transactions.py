@@ -35,10 +35,10 @@ __all__ = [
     "seconds_left",
 ]
 
-FIXED = range(1000)  # cells that nobody writes
+FIXED = range(1000)  # cells that no client writes
 WRITTEN = range(1000, 2000)
 
-# One frame in so many suffers, unless the last one left something to recover from.
+# One frame in so many has a fault, unless the line is still recovering from the last.
 BETWEEN_FAULTS = 6
 
 # The functions that are used.
@@ -55,7 +55,7 @@ def bit(address: int) -> bool:
 
 
 def known_device() -> Device:
-    """Make a device with these values, and none in what is to be written."""
+    """Make a device with these values, and zeros in the writable cells."""
     mapping = Mapping(
         coils=2000,
         discrete_inputs=len(FIXED),
@@ -105,7 +105,7 @@ class Tally:
 
     @property
     def is_good(self) -> bool:
-        """True if nothing was wrong or lost, and a fault entails one failure of its function."""
+        """Return True if no value was wrong or lost, and each fault caused one failure."""
         findings = self.wrong + self.lost + self.unprovoked
         return not findings and max(self.recovery, default=0) <= 1
 
@@ -169,7 +169,7 @@ class Lateness:
 
     def seconds(self) -> float:
         """Return the sum of both, at worst, since the last call."""
-        overdue = time.monotonic() - self._last - self.PERIOD  # of the beat that is on its way
+        overdue = time.monotonic() - self._last - self.PERIOD  # of the next beat
         worst, self._worst = max(self._worst, overdue), 0.0
         queued, self._queued = self._queued, self._queueing()
         return worst + max(0.0, self._queued - queued)
@@ -184,7 +184,7 @@ class Lateness:
 
     @staticmethod
     def _queueing() -> float:
-        """Seconds that all threads waited for a processor; 0 if the kernel does not count them."""
+        """Return the seconds that all threads waited for a processor; 0 if not counted."""
         nanoseconds = 0
         for thread in Path("/proc/self/task").iterdir():
             with contextlib.suppress(OSError):  # it may have ended
@@ -230,7 +230,7 @@ class Transactions:
         self._failures: dict[int, int] = {}
 
     def run(self, goes_on: Callable[[], bool]) -> Tally:
-        """Do transactions while `goes_on` says so."""
+        """Do transactions while `goes_on` returns True."""
         while goes_on():
             self._one()
             if self.tally.done % 200 == 0:
@@ -277,7 +277,7 @@ class Transactions:
     def _was_late(self, is_suspicious: bool) -> bool:
         """Return True if the machine delayed this request, or the last one, answered now."""
         if is_suspicious:
-            time.sleep(self._context.timeout)  # what is still late comes in
+            time.sleep(self._context.timeout)  # late frames are received
         is_late = self._lateness.seconds() > self._context.timeout / 4
         was_late, self._late_before = self._late_before, is_late
         return is_late or was_late
@@ -364,7 +364,7 @@ class Transactions:
             raise Finding("lost", f"wrote {values} at {address}, found {found}")
 
     def _look_at_all(self) -> None:
-        """No register may hold what nobody wrote."""
+        """Check all registers: each must have a value that was written."""
         for start in range(0, WRITTEN.stop, 100):
             for at, value in enumerate(self._clean.read_holding_registers(start, 100), start):
                 allowed = (register(at), 0) if at in WRITTEN else (register(at),)
@@ -382,6 +382,6 @@ KINDS = [
 
 
 def seconds_left(seconds: float) -> Callable[[], bool]:
-    """Go on for so long."""
+    """Return a function that returns True for so many seconds."""
     end = time.monotonic() + seconds
     return lambda: time.monotonic() < end

@@ -71,7 +71,7 @@ def files(root: Path = ROOT) -> list[str]:
         SystemExit: git refused, and said why.
     """
     if (root / ".git").exists():
-        # Of a clone that belongs to somebody else, too: this program comes from it.
+        # This program comes from the clone, so that a clone of another user is trusted, too.
         command = ["git", "-c", "safe.directory=*", "ls-files", "-z"]
         found = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
         if found.returncode:

@@ -68,13 +68,13 @@ def text_of(ending: str) -> str:
 # --- what is in the wheel ------------------------------------------------------------------
 
 
-def test_there_is_nothing_that_only_a_compiler_reads(names: list[str]) -> None:
+def test_the_wheel_contains_nothing_that_only_a_compiler_reads(names: list[str]) -> None:
     allowed = r"\.(py|so|so\.[0-9.]+|toml|csv|html|css|js|svg|pyi)$|/py\.typed$|\.dist-info/"
     allowed += r"|\.data/data/share/(man/man1|bash-completion/completions|zsh/site-functions)/"
     assert [name for name in names if not re.search(allowed, name)] == []
 
 
-def test_all_licences_are_there(names: list[str]) -> None:
+def test_the_wheel_and_the_sdist_contain_all_licences(names: list[str]) -> None:
     found = [name.partition("/licenses/")[2] for name in names if "/licenses/" in name]
     assert sorted(found) == ["LICENSE", "libmodbus/COPYING.LESSER", "libmodbus/NOTICE"]
     metadata = text_of("/METADATA")
@@ -99,7 +99,7 @@ def test_the_notice_names_the_library_and_offers_its_source(names: list[str]) ->
         assert hashlib.sha256(data.read()).hexdigest() == libmodbus.SHA256
 
 
-def test_the_bill_of_materials_names_what_the_wheel_carries(names: list[str]) -> None:
+def test_the_bill_of_materials_names_what_the_wheel_contains(names: list[str]) -> None:
     """PEP 770; the form is checked when it is written."""
     bom = json.loads(text_of(f".dist-info/{sbom.FOLDER}/{sbom.NAME}"))
     own = bom["metadata"]["component"]
@@ -116,7 +116,7 @@ def test_the_bill_of_materials_names_what_the_wheel_carries(names: list[str]) ->
     assert set(needs[own["bom-ref"]]) == {part["bom-ref"] for part in parts.values()}
 
 
-def test_the_bill_of_materials_of_the_sdist_names_the_source_that_it_carries() -> None:
+def test_the_bill_of_materials_of_the_sdist_names_the_source_that_the_sdist_contains() -> None:
     with tarfile.open(SDIST) as sdist:
         (name,) = (path for path in sdist if path.name.endswith(f"packaging/{sbom.NAME}"))
         file = sdist.extractfile(name)
@@ -183,30 +183,30 @@ def test_the_steps_of_cibuildwheel_give_the_same_bytes(tmp_path: Path) -> None:
     assert (refused.returncode, refused.stderr) == (1, told)
 
 
-def test_debian_12_takes_it() -> None:
+def test_lintian_of_debian_12_accepts_the_wheel() -> None:
     if "manylinux" in WHEEL.name:
         assert "Debian 12" in make.systems(WHEEL.name).partition("; refused")[0]
 
 
-def test_it_fits_every_python_from_311_on() -> None:
+def test_the_wheel_fits_every_python_from_311_on() -> None:
     assert re.search(r"-cp311-abi3-(many|musl)linux", WHEEL.name)
 
 
 # --- that it works alone -------------------------------------------------------------------
 
 
-def test_it_loads_its_own_library(home: Path) -> None:
+def test_the_wheel_loads_its_own_library(home: Path) -> None:
     version, *files = run(home / "bin" / "python", "-c", WHICH).rsplit(") ", 1)
     assert version == f"({libmodbus.VERSION.replace('.', ', ')}"
     assert len(files) == 1
     assert files[0].startswith(str(home))
 
 
-def test_it_runs_the_demonstration(home: Path) -> None:
+def test_the_wheel_runs_the_demonstration(home: Path) -> None:
     assert "all answers are right" in run(home / "bin" / "libmodbus-py", "demo")
 
 
-def test_it_has_the_examples(home: Path) -> None:
+def test_the_sdist_contains_the_examples(home: Path) -> None:
     loads = (
         "from libmodbus_py.device_file import load\n"
         "from libmodbus_py.tools.simulator import example_files as these\n"
@@ -220,7 +220,7 @@ def test_it_has_the_examples(home: Path) -> None:
     )
 
 
-def test_the_library_can_be_exchanged(home: Path, tmp_path: Path) -> None:
+def test_the_library_of_the_wheel_can_be_exchanged(home: Path, tmp_path: Path) -> None:
     """As its licence wants: for one that somebody changed, under the same name."""
 
     def changed(source: Path) -> None:
@@ -244,7 +244,7 @@ def test_the_library_can_be_exchanged(home: Path, tmp_path: Path) -> None:
 # --- the sdist -----------------------------------------------------------------------------
 
 
-def test_the_sdist_has_what_its_own_tests_need(tmp_path: Path) -> None:
+def test_the_sdist_contains_what_its_tests_need(tmp_path: Path) -> None:
     with tarfile.open(SDIST) as sdist:
         inside = {path.name.partition("/")[2] for path in sdist if path.isfile()}
     root = Path(__file__).parents[1]
@@ -255,7 +255,7 @@ def test_the_sdist_has_what_its_own_tests_need(tmp_path: Path) -> None:
     assert sorted(missing) == []
 
 
-def test_the_sdist_passes_tests_of_its_own(tmp_path: Path) -> None:
+def test_the_sdist_passes_its_own_tests(tmp_path: Path) -> None:
     """Some, which need no program of Debian: unpacked elsewhere, ./run test runs all."""
     with tarfile.open(SDIST) as sdist:
         sdist.extractall(tmp_path, filter="data") if sys.version_info >= (3, 12) else (

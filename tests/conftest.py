@@ -39,7 +39,7 @@ settings.load_profile("suite")
 
 
 def pytest_collection_finish() -> None:
-    """Leave what was collected out of every later collection of garbage, which it makes slow."""
+    """Exclude collected tests from later garbage collections, which they would slow down."""
     gc.collect()
     freeze()
 
@@ -65,7 +65,7 @@ def _longest(item: pytest.Item) -> float:
 
 @pytest.fixture(autouse=True)
 def _own_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Forget what is known of lines: another test may have the same port, or the same clock."""
+    """Forget the histories of lines: another test may have the same port, or the same clock."""
     forget_lines()
     rtu._failures.clear()
     monkeypatch.setattr(ids, "first_id", lambda: 0)  # which tests can name

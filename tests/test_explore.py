@@ -91,7 +91,7 @@ WITH_IDS: dict[str, Breaking] = {
 
 
 @pytest.mark.parametrize("has_ids", [False, True])
-def test_no_sequence_of_events_gives_what_has_no_name(has_ids: bool) -> None:
+def test_no_sequence_of_events_gives_an_unnamed_wrong_result(has_ids: bool) -> None:
     assert explore(has_ids, 4, 1, (1, PARTS)).errors == {}
 
 
@@ -104,7 +104,7 @@ BACKLOGS = [
 
 
 @pytest.mark.parametrize("world", BACKLOGS)
-def test_a_late_answer_to_one_function_announces_those_to_others(world: str) -> None:
+def test_a_late_answer_to_one_function_causes_doubt_of_other_functions(world: str) -> None:
     steps = [word.replace("_", " ").split(":") for word in world.split()]
     assert run(False, True, 0, [(move, act) for move, act in steps]).errors == set()
 
@@ -121,7 +121,7 @@ MEETINGS = [
 
 
 @pytest.mark.parametrize(("world", "changes", "retries", "most"), MEETINGS)
-def test_two_faults_that_meet_shift_nothing(
+def test_two_faults_together_cause_no_lasting_shift(
     world: str, changes: bool, retries: int, most: int
 ) -> None:
     steps = [word.replace("_", " ").split(":") for word in world.split()]
@@ -130,7 +130,7 @@ def test_two_faults_that_meet_shift_nothing(
     assert result.wrong_values == most
 
 
-def test_a_shift_in_which_no_time_is_unusual_ends_when_an_answer_is_checked() -> None:
+def test_a_shift_without_an_unusual_time_ends_when_an_answer_is_checked() -> None:
     usual = [("AB"[at % 2], "good") for at in range(5)]
     steps = [("pause A", "twice +6"), ("B", "good"), ("A", "slower"), *usual]
     assert run(False, True, 1, steps).errors == {"wrong", "stale"}

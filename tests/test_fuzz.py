@@ -115,7 +115,7 @@ ODD_VALUES += ["''", f"'{'x' * 300}'", "2024-01-01", "[]", "{}", "[" * 2000, "{ 
 
 
 @each_case(("at", "odd"), enumerate(ODD_VALUES))
-def test_device_files_with_an_odd_value(at: int, odd: str) -> None:
+def test_device_files_with_an_odd_value_are_loaded_or_refused(at: int, odd: str) -> None:
     """The example, with another value in the place of every sixth one."""
     for place in [*re.finditer(r"= ([^\s,}]+)", PLANT)][at % 6 :: 6]:
         check_device_file(PLANT[: place.start(1)] + odd + PLANT[place.end(1) :])
@@ -137,7 +137,7 @@ def test_any_stream_is_cut_into_frames(name: str, data: st.DataObject) -> None:
         ("rtu client", b"\xff\xff\xff\xff\xff\xff\0\0\0", 5),
     ],
 )
-def test_streams_found_by_guided_fuzzing(name: str, stream: bytes, first: int) -> None:
+def test_streams_of_guided_fuzzing_are_cut_into_frames(name: str, stream: bytes, first: int):
     check_stream(name, stream, [first])
 
 
@@ -156,7 +156,7 @@ def test_listeners_accept_any_bytes(framing: Literal["rtu", "ascii"], data: st.D
     ("framing", "faults", "least"),
     [("rtu", 0.0, 1.0), ("rtu", 0.01, 0.99), ("ascii", 0.0, 1.0), ("ascii", 0.01, 0.99)],
 )
-def test_a_listener_names_most(framing: Framing, faults: float, least: float) -> None:
+def test_a_listener_decodes_most_transactions(framing: Framing, faults: float, least: float):
     """`fuzz.listening` does it for longer."""
     assert measure(framing, 1000, faults, 5, LATENCY).share >= least
 
@@ -180,7 +180,7 @@ def test_any_request_is_decoded_or_refused(data: bytes) -> None:
 @each_case("request_", REQUEST_OBJECTS, ids=[type(item).__name__ for item in REQUEST_OBJECTS])
 @settings(max_examples=35)
 @given(data=near_pdus() | st.binary(max_size=260), mark=st.sampled_from([None, 0, 0x80]))
-def test_any_response_is_judged(request_: pdu.Request[Any], data: bytes, mark: int | None) -> None:
+def test_any_response_is_result_or_error(request_: pdu.Request[Any], data: bytes, mark: int | None):
     """Also those to other requests, as if they answered or refused this one."""
     check_response(request_, data if mark is None else bytes([request_.function | mark]) + data[1:])
 
@@ -192,7 +192,7 @@ def test_a_device_answers_any_requests(requests: list[bytes]) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_client_among_hostile_clients(seed: int) -> None:
+def test_a_client_gets_its_values_among_hostile_clients(seed: int) -> None:
     device = known_device()
     before = bytes(device.mapping.holding_registers.view)
     with Server({UNIT: device}).background("tcp://127.0.0.1:0") as running:

@@ -44,7 +44,7 @@ def test_fails_without_a_mutant() -> None:
 
 
 @pytest.mark.slow
-def test_what_no_test_notices_is_printed_as_a_diff(tmp_path: Path) -> None:
+def test_a_change_without_a_failing_test_is_printed_as_a_diff(tmp_path: Path) -> None:
     """Of six places, two are drawn: the condition, which a test notices, and the 0."""
     pytest.importorskip("cosmic_ray", reason="./run mutants installs it")
     files = {"__init__.py": "", "tank.py": TANK, "../tests/tank/test_tank.py": TESTS}

@@ -91,7 +91,7 @@ class TestMap:
         text = (libmodbus_py.__doc__ or "").partition("Modules with more public names")[2]
         assert [item for item in PUBLIC_MODULES if not re.search(rf"\b{item}\b", text)] == []
 
-    def test_contributing_names_every_folder(self) -> None:
+    def test_contributing_md_names_every_folder(self) -> None:
         text = (PACKAGE.parent / "CONTRIBUTING.md").read_text()
         assert [folder for folder in FOLDERS if f"`{folder}`" not in text] == []
 
@@ -116,7 +116,7 @@ class TestPublicNames:
         missing = [name for name in libmodbus_py.__all__ if not hasattr(libmodbus_py, name)]
         assert missing == []
 
-    def test_there_are_few_at_the_top(self) -> None:
+    def test_the_package_itself_has_few_names(self) -> None:
         stub = (PACKAGE / "__init__.pyi").read_text()
         names = re.findall(r"^from .* import .* as (\w+)$", stub, re.MULTILINE)
         assert len(names) <= 46
@@ -226,7 +226,7 @@ class TestPublicNames:
         assert not lacking
         assert {"diagnostics", "encapsulated_transport", "execute"} < set(dir(Client))
 
-    def test_signatures_are_those_that_other_programs_call(self) -> None:
+    def test_signatures_are_not_changed_for_other_programs(self) -> None:
         signatures = {
             "read_exception_status": "()",
             "diagnostics": "(sub_function, data=0)",
@@ -314,19 +314,19 @@ class TestLateImports:
             ),
         ],
     )
-    def test_imports_are_few(self, program: str, needs: set[str], unwanted: set[str]) -> None:
+    def test_a_program_imports_few_modules(self, program: str, needs: set[str], unwanted: set[str]):
         modules = imported_by(program)
         if "AsyncClient" not in program and "Server" not in program:
             assert not modules & SLOW
         assert needs <= {name.removeprefix("libmodbus_py.") for name in modules}
         assert not {f"libmodbus_py.{name}" for name in unwanted} & modules
 
-    def test_a_client_that_is_not_made_needs_no_dataclasses(self) -> None:
+    def test_importing_the_client_needs_no_dataclasses(self) -> None:
         """They bring inspect, and with it half of what compiles Python."""
         modules = imported_by("from libmodbus_py import Client")
         assert not modules & {"dataclasses", "inspect", "urllib.parse"}
 
-    def test_one_read_brings_one_kind_of_request(self) -> None:
+    def test_one_read_imports_one_kind_of_request(self) -> None:
         modules = imported_by(
             "import socket, threading\n"
             "from libmodbus_py import Client\n"
@@ -345,7 +345,7 @@ class TestLateImports:
         own = ("request", "reads")
         assert kinds == {f"libmodbus_py.protocol.pdu.{name}" for name in own}
 
-    def test_a_list_of_maps_brings_neither_client_nor_scan(self) -> None:
+    def test_a_list_of_maps_imports_neither_client_nor_scan(self) -> None:
         modules = imported_by("from libmodbus_py.cli.main import main\nmain(['map', 'list'])")
         assert "libmodbus_py.cli.ask.map" in modules
         unwanted = ("client.blocking", "maps.point", "tools.scan.probe")
@@ -388,7 +388,7 @@ def declared_constants() -> set[str]:
 
 @needs_headers
 class TestHeaders:
-    def test_the_headers_are_understood(self) -> None:
+    def test_the_parser_of_headers_finds_functions_and_constants(self) -> None:
         """Else the tests below would pass on nothing."""
         assert len(declared_functions()) > 60
         assert {"modbus_read_bits", "modbus_new_rtu", "modbus_tcp_pi_accept"} < declared_functions()
@@ -400,11 +400,11 @@ class TestHeaders:
             "MODBUS_EXCEPTION_GATEWAY_TARGET",
         } < declared_constants()
 
-    def test_every_function_is_there(self) -> None:
+    def test_every_function_of_the_headers_exists(self) -> None:
         missing = sorted(name for name in declared_functions() if not hasattr(lib, name))
         assert not missing, f"not in low_level.lib: {', '.join(missing)}"
 
-    def test_every_other_constant_is_there(self) -> None:
+    def test_every_other_constant_of_the_headers_exists(self) -> None:
         """The docstring of low_level: everything in the headers, under its C name."""
         missing = sorted(name for name in declared_constants() if not hasattr(lib, name))
         assert not missing, f"not in low_level.lib: {', '.join(missing)}"
@@ -442,7 +442,7 @@ class TestLowLevel:
         else:
             assert result == 0
 
-    def test_newer_functions_know_no_context(self) -> None:
+    def test_newer_functions_refuse_an_empty_context(self) -> None:
         for name, arguments in NEWER.items():
             assert getattr(lib, name)(ffi.NULL, *arguments) == -1
 
@@ -456,7 +456,7 @@ class TestLowLevel:
         assert lib.MODBUS_TCP_MAX_ADU_LENGTH == 260
         assert lib.MODBUS_RTU_MAX_ADU_LENGTH == 256
 
-    def test_its_public_names_are_ffi_lib_and_version(self) -> None:
+    def test_public_names_of_low_level_are_ffi_lib_and_loaded_version(self) -> None:
         assert low_level.__all__ == ["ffi", "lib", "loaded_version"]
 
 
@@ -491,7 +491,7 @@ def copied_modules(package: Path) -> Path:
 
 class TestImportErrors:
     @pytest.mark.parametrize("missing", ["protocol/_scan", "binding/_libmodbus"])
-    def test_without_a_compiled_module_it_says_what_to_install(self, tmp_path, missing) -> None:
+    def test_without_a_compiled_module_the_error_names_the_package(self, tmp_path, missing) -> None:
         package = copied_package(tmp_path)
         copied_modules(package)
         for module in package.glob(f"{missing}.*"):
@@ -502,7 +502,7 @@ class TestImportErrors:
         assert last.startswith("ImportError: libmodbus_py is not built")
         assert "libmodbus-dev" in last
 
-    def test_without_libmodbus_it_says_what_to_install(self, tmp_path: Path) -> None:
+    def test_without_libmodbus_the_error_says_what_to_install(self, tmp_path: Path) -> None:
         """The real loader, on a module that wants a library which no system has."""
         package = copied_package(tmp_path)
         module = copied_modules(package)
@@ -518,7 +518,7 @@ class TestImportErrors:
         assert "apt install libmodbus5" in last
         assert "libmodbus.so.0" in last
 
-    def test_the_copy_loads_when_nothing_is_missing(self, tmp_path: Path) -> None:
+    def test_a_complete_copy_of_the_package_can_be_imported(self, tmp_path: Path) -> None:
         """Else the two tests above would prove nothing."""
         copied_modules(copied_package(tmp_path))
         run = import_from(tmp_path)
@@ -559,14 +559,14 @@ def pickled(error: ModbusError) -> ModbusError:
 
 class TestErrors:
     @pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, pickled])
-    def test_copies_keep_everything(self, duplicate: Any) -> None:
+    def test_copies_of_errors_keep_all_attributes(self, duplicate: Any) -> None:
         for error in all_errors():
             double = duplicate(error)
             assert type(double) is type(error)
             assert seen(double) == seen(error)
 
     @pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, pickled])
-    def test_copies_keep_the_number_of_the_system(self, duplicate: Any) -> None:
+    def test_copies_of_errors_keep_the_errno(self, duplicate: Any) -> None:
         error = ModbusConnectionError("refused", errno=errno.ECONNREFUSED, **TRANSACTION)
         assert error.errno == errno.ECONNREFUSED
         assert seen(duplicate(error)) == seen(error)
@@ -583,14 +583,14 @@ class TestErrors:
         error = errors.FrameError("the reason")
         assert [getattr(error, name) for name in ATTRIBUTES[:5]] == [None, None, "", b"", b""]
 
-    def test_errors_can_be_caught_as_those_of_the_system(self) -> None:
+    def test_errors_can_be_caught_as_os_errors(self) -> None:
         assert issubclass(ModbusTimeoutError, TimeoutError)
         assert issubclass(ModbusConnectionError, ConnectionError)
         assert not issubclass(errors.FrameError, OSError)
         for name in errors.__all__:
             assert issubclass(getattr(errors, name), ModbusError)
 
-    def test_refusals_raised_in_a_server_carry_their_code(self) -> None:
+    def test_exceptions_raised_in_a_server_have_their_code(self) -> None:
         for code in (*range(1, 9), 10, 11):
             kind = type(ExceptionResponse.of(code))
             assert kind is not ExceptionResponse

@@ -22,7 +22,7 @@ def flag(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
     flag.close()
 
 
-def test_a_flag_is_readable_from_set_to_clear_and_closed_for_good(flag: Flag) -> None:
+def test_a_flag_is_readable_while_set_and_closed_once(flag: Flag) -> None:
     for count in (1, 70_000):  # more than a pipe has room
         for _ in range(count):
             flag.set()
@@ -36,11 +36,11 @@ def test_a_flag_is_readable_from_set_to_clear_and_closed_for_good(flag: Flag) ->
     assert flag.descriptor == -1
 
 
-def test_programs_that_are_started_do_not_inherit_a_flag(flag: Flag) -> None:
+def test_child_programs_do_not_inherit_a_flag(flag: Flag) -> None:
     assert not os.get_inheritable(flag.descriptor)
 
 
-def test_a_file_is_locked(tmp_path: Path) -> None:
+def test_a_locked_file_cannot_be_locked_again(tmp_path: Path) -> None:
     with open(tmp_path / "file", "w") as first, open(tmp_path / "file", "w") as second:
         lock_file(first.fileno())
         with pytest.raises(BlockingIOError):
@@ -89,7 +89,7 @@ def test_the_reason_is_shown_when_the_module_of_a_name_fails(package: Path, way,
     assert isinstance(caught.value.__cause__, AttributeError)
 
 
-def test_other_errors_of_the_module_are_raised_as_they_are(package: Path) -> None:
+def test_other_errors_of_a_lazy_module_are_raised_unchanged(package: Path) -> None:
     (package / "home.py").write_text("raise ValueError('on purpose')\n")
     with pytest.raises(ValueError, match="on purpose"):
         exec(f"from {PACKAGE} import thing", {})

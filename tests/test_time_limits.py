@@ -70,7 +70,7 @@ NEVER = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hang", NEVER)
-def test_what_never_ends_ends_its_process(pytester: pytest.Pytester, hang: str) -> None:
+def test_a_test_that_cannot_be_interrupted_ends_its_process(pytester: pytest.Pytester, hang: str):
     write(pytester, NEVER[hang], 1)
     options = ("--timeout=0.2", "-p", "no:xdist", "-p", "no:libmodbus_py")
     outcome = pytester.runpytest_subprocess(*options, timeout=60)

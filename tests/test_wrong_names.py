@@ -31,7 +31,7 @@ URL = "tcp://192.0.2.10"
 DEVICE = Device(Mapping(holding_registers=9, input_registers=9, discrete_inputs=9))
 
 
-def test_a_wrong_argument_is_answered_with_the_right_one(refused: Refused) -> None:
+def test_a_wrong_argument_has_a_suggestion(refused: Refused) -> None:
     names: dict[str, Any] = {}
     exec("from libmodbus_py import *; from libmodbus_py.fleet import *", names)
     exec("from libmodbus_py.serve import *", names)
@@ -49,7 +49,7 @@ def test_a_wrong_argument_is_answered_with_the_right_one(refused: Refused) -> No
         (search, "stopbits", "rtu:///dev/ttyUSB0?stop_bits=..."),
     ],
 )
-def test_a_wrong_name_of_an_argument_of_a_function(function, name, close) -> None:
+def test_a_wrong_argument_of_a_function_has_a_suggestion(function, name, close) -> None:
     with pytest.raises(TypeError) as raised:
         function(URL, **{name: 1})
     assert str(raised.value).startswith(f"'{name}' must be one of ")
@@ -66,7 +66,7 @@ def test_other_errors_of_calls_are_those_of_python() -> None:
         Route(URL, url=URL)  # type: ignore[misc]
 
 
-def test_errors_from_within_are_passed_on() -> None:
+def test_errors_inside_a_function_are_passed_on() -> None:
     @named_arguments
     class Raising:
         def __init__(self, **options: int) -> None:
@@ -95,7 +95,7 @@ def test_subclasses_keep_their_own_arguments() -> None:
         Mine(Mapping(), mine=3, identity={})
 
 
-def test_signatures_and_copies_are_as_before() -> None:
+def test_decorated_classes_keep_their_signatures_and_can_be_copied() -> None:
     route = Route(URL, units="1-9")
     assert copy.copy(route) == pickle.loads(pickle.dumps(route)) == route
     assert [*inspect.signature(Read).parameters][:2] == ["table", "address"]
@@ -163,7 +163,7 @@ def test_a_reference_of_six_digits_is_no_address(address: int, hint: str) -> Non
         ("hr 0 2 --type float32 --order little-endian", "DCBA to some, and CDAB"),
     ],
 )
-def test_a_wrong_word_on_the_command_line(words: str, close: str) -> None:
+def test_a_wrong_word_on_the_command_line_has_a_suggestion(words: str, close: str):
     result = run("read", "127.0.0.1:1", *words.split())
     assert (result.code, result.out) == (2, "")
     assert close in result.err
@@ -182,7 +182,7 @@ def test_a_wrong_word_on_the_command_line(words: str, close: str) -> None:
         (lambda plc: plc.read_values("hr", 0, "float32", order="ABDC"), "did you mean "),
     ],
 )
-def test_a_wrong_word_in_a_program(ask: Callable[[Client], Any], close: str) -> None:
+def test_a_wrong_word_in_a_program_has_a_suggestion(ask: Callable[[Client], Any], close: str):
     plc = Client("tcp://127.0.0.1:1")
     try:
         with pytest.raises(ValueError, match=close):

@@ -26,7 +26,7 @@ except ImportError as error:
         ) from error
     raise ImportError(f"{NOT_BUILT} ({error})") from error
 
-__all__ = ["ffi", "lib"]  # which all others import from here
+__all__ = ["ffi", "lib"]  # all other modules import these names from here
 
 
 _LIBRARY_ERRORS: dict[int, type[errors.ModbusError]] = {
@@ -109,7 +109,7 @@ Answered = tuple[int, bytes, int, int]
 
 
 def make_tally() -> Any:
-    """Return a tally_t: the notes of the replier about the requests of one device."""
+    """Return a tally_t: the counts of the replier about the requests of one device."""
     return ffi.new("tally_t *")
 
 
@@ -138,7 +138,7 @@ class Replier:
     _pair: tuple[socket.socket, ...] = ()
 
     def __init__(self) -> None:
-        # Those to one chunk; requests without room are answered in a further call.
+        # The answers to one chunk; requests without room are answered in a further call.
         self._answers = ffi.new("uint8_t[]", 1 << 16)
         self.answers: Any = ffi.cast("char *", self._answers)  # which unpack to bytes
         # For a request that may be answered without being counted.
@@ -154,7 +154,7 @@ class Replier:
         self.close()
 
     def renew(self) -> None:
-        """Replace the socketpair, in which answers may still lie."""
+        """Replace the socketpair, in which answers may remain."""
         self.close()
         self._open()
 

@@ -80,7 +80,7 @@ def typed_options(options: argparse.Namespace, names: Collection[str]) -> dict[s
 
 
 def refuse_options(options: argparse.Namespace, names: Collection[str], why: str) -> None:
-    """Raise ValueError if one of some options was typed: its name, and why it cannot be."""
+    """Raise ValueError if one of some options was typed: with its name, and the reason."""
     if values := typed_options(options, names):
         raise ValueError(f"{flag(next(iter(values)))} {why}")
 
@@ -98,7 +98,7 @@ def add_client(command: Parser, *, several: bool = False) -> None:
 
 
 def add_requests(command: Parser, *, several: bool = False) -> None:
-    """Add the options of a client, or of one that asks several units, one after the other."""
+    """Add the options of a client, or of a command that asks several units one after the other."""
     group = command.group("requests")
     if several:
         add_units(group, "unit to ask, 0..255, or several, such as 1-9,17 (1)")
@@ -203,7 +203,7 @@ def add_forms(
     *,
     csv_file: str = "write it to a new FILE",
 ) -> None:
-    """Add --json, and --csv if there is a text for it; with a file the output is written there."""
+    """Add --json, and --csv if `text` describes it; with a file, the output is written there."""
     for name, text in (("csv", csv), ("json", json)):
         if text:
             to_file = csv_file if name == "csv" else "write it to a new FILE"

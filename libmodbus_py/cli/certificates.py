@@ -145,7 +145,7 @@ def _make_for_machines(directory: Path, machines: Iterable[str], days: int) -> i
     authority = authority or make("Modbus authority", is_authority=True, days=AUTHORITY_DAYS)
     files = {machine: make(machine, authority, hosts=[machine], days=days) for machine in machines}
     if is_new:
-        write(directory, {"ca": authority}, replaces=True)  # of a key alone nothing is known
+        write(directory, {"ca": authority}, replaces=True)  # a key alone cannot be used
     for machine, identity in files.items():
         folder = directory / machine
         write(folder, {"server": identity}, replaces=True)

@@ -14,7 +14,7 @@ from ..version import __version__
 from .output import PROGRAM
 from .parser import Parser, Printing, declare, shield_negatives
 
-TYPE_CHECKING = False  # typing alone takes a twentieth of what --version may
+TYPE_CHECKING = False  # importing typing would take a twentieth of the time of --version
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
@@ -81,7 +81,7 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     from .arguments import with_forms
     from .foreign import equivalents
 
-    if parser.commands:  # they have their own parsers
+    if parser.commands:  # commands of this parser have their own parsers
         if others and not others[0].startswith("-") and others[0] not in parser.commands:
             parser.refuse_command(others[0])
         result, unknown = parser.parse_known_args(shield_negatives(others))
@@ -103,7 +103,7 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def _is_read(arguments: Sequence[str]) -> bool:
-    """Return True if a device stands where a command should: then it is read."""
+    """Return True if the first word is a device, not a command: the command is then read."""
     from .foreign import is_place
 
     if arguments[0].startswith("-"):

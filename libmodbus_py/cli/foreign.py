@@ -100,7 +100,7 @@ def _of_value(answer: str, value: str) -> str:
 
 
 def _is_foreign(command: str, flags: Mapping[str, Any], word: str, before: Sequence[str]) -> bool:
-    """Return True unless a word is an option here, or a number such as -1 that is a value."""
+    """Return True unless a word is an option of this command, or a number such as -1."""
     if word in flags or not word[1:].isdecimal():
         return word not in flags
     if not before or command == "write":

@@ -45,7 +45,7 @@ def logged(options: argparse.Namespace) -> Iterator[None]:
     handler.setFormatter(LogFormatter(is_json=options.log_format == "json"))
     handler.setLevel((options.log or "warning").upper())
     before = logger.level
-    root.addHandler(handler)  # for asyncio and other packages, too, whose warnings matter
+    root.addHandler(handler)  # for warnings of asyncio and other packages, too
     logger.setLevel(handler.level)
     logging.captureWarnings(True)
     try:
@@ -78,7 +78,7 @@ def called_before_lines(function: Callable[[], object]) -> Iterator[None]:
 
 class _Handler(logging.StreamHandler[Any]):
     def handleError(self, record: logging.LogRecord) -> None:
-        """Lose what stderr does not take, such as a closed pipe, instead of saying so there."""
+        """Drop messages that stderr refuses, such as a closed pipe, without a traceback."""
 
 
 class LogFormatter(logging.Formatter):

@@ -58,7 +58,7 @@ def _run(arguments: Sequence[str]) -> int:
         complete()
     options = parse_arguments(arguments)
     print_log_lines(is_on=getattr(options, "log_format", None) == "json")
-    options.screen = sys.stdout  # while what is printed goes to a file
+    options.screen = sys.stdout  # standard output is a file meanwhile
     options.written_to = getattr(options, "written_to", None)
     try:
         goes_on = getattr(options, "adds_rows", False) and bool(options.csv)
@@ -98,7 +98,7 @@ def _failed(error: Exception) -> int:
 
 
 def advice(error: Exception) -> str:
-    """Return what to try after a failure; empty if nothing is known that would help."""
+    """Return advice after a failure; empty if none would help."""
     from ..protocol.errors import NO_UNIT, ModbusError, ModbusTimeoutError
     from .output import PROGRAM
 

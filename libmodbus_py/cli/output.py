@@ -40,7 +40,7 @@ def prepare() -> None:
 
 
 def _escaped(error: UnicodeError) -> tuple[str, int]:
-    """Return what a stream cannot encode as escapes that JSON has, too, such as ``\\u00fc``."""
+    """Return text with escapes as in JSON, ``\\u00fc``, for characters that the stream lacks."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     units = error.object[error.start : error.end].encode("utf-16-be", "surrogatepass")
@@ -49,7 +49,7 @@ def _escaped(error: UnicodeError) -> tuple[str, int]:
 
 
 def abandon() -> None:
-    """Discard the buffered output and all that follows; writing it at exit would fail again."""
+    """Discard the buffered output and all later output; writing it at exit would fail again."""
     with contextlib.suppress(OSError, ValueError):
         descriptor = sys.stdout.fileno()
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -90,7 +90,7 @@ def complain(text: str, level: str = "error") -> None:
 
 def harmless(text: str) -> str:
     """Return a message without characters that control a terminal."""
-    if text.isprintable():  # mostly, and then nothing else needs to be imported
+    if text.isprintable():  # most texts are printable, so that nothing else needs to be imported
         return text
     from ..protocol.plain import without_controls
 
@@ -196,7 +196,7 @@ class Status:
         self._next = time.monotonic() + after
 
     def show(self, text: str) -> None:
-        """Draw a text, unless another one was drawn just now."""
+        """Draw a text, unless one was drawn a moment before."""
         now = time.monotonic()
         if not self._is_wanted or now < self._next:
             return

@@ -92,7 +92,7 @@ class Parser(argparse.ArgumentParser):
         return add
 
     def refuse_command(self, word: str) -> NoReturn:
-        """Exit with the message that there is no such command, which names a close one."""
+        """Exit with the message that there is no such command, and a similar one."""
         from ..protocol.mistakes import close_to
         from .foreign import COMMANDS as FOREIGN
 
@@ -112,7 +112,7 @@ class Parser(argparse.ArgumentParser):
 
     def format_usage(self) -> str:
         """Return the line that shows how the command is typed; it names no single options."""
-        if self.usage is not None:  # argparse made it before it hides positional arguments
+        if self.usage is not None:  # argparse made one before positional arguments were hidden
             return f"usage: {self.usage.strip()}\n"
         needs = [action for action in self._all() if action.required or not action.option_strings]
         words = map(_typed, needs)
@@ -148,7 +148,7 @@ class Parser(argparse.ArgumentParser):
 class Printing(argparse.Action):
     """An option such as --help that prints the `text` of a parser and exits."""
 
-    # argparse itself would ignore a full disk.
+    # argparse itself would ignore a full disk when printing.
     def __init__(self, *names: Any, text: Callable[[Parser], str], **options: Any) -> None:
         super().__init__(*names, **{**options, "nargs": 0})
         self._text = text
@@ -247,7 +247,7 @@ def declare(
 
 
 def _shape(head: str) -> tuple[list[str], dict[str, Any]]:
-    """Return the flags of an argument that is declared by a line, and what argparse takes of it."""
+    """Return the flags of an argument declared by a line, and its arguments for argparse."""
     match = _HEAD.fullmatch(head)
     assert match is not None
     flags, value, is_many = match["flags"].split(), match["value"], bool(match["many"])

@@ -60,7 +60,7 @@ class AsyncioDriver:
         self._is_due = False
         self._is_inside = False
         self._is_telling = False
-        # What is over, and of which no caller is told yet.
+        # Calls that have ended, of which the caller does not know yet.
         self._ended: deque[Call | Batch] = deque()
         self._closed = asyncio.Event()
 
@@ -78,7 +78,7 @@ class AsyncioDriver:
         return self._life.state is not State.CLOSED
 
     def run(self, job: Call | Batch) -> TaskCaller:
-        """Send requests; the caller awaits at once what is returned, for their result."""
+        """Send requests; the caller must await the returned object at once, for their result."""
         loop = asyncio.get_running_loop()
         if loop is not self._loop:
             self._bind()
@@ -113,7 +113,7 @@ class AsyncioDriver:
             self._turn_soon()
 
     def _turn_soon(self) -> None:
-        """Take one turn for all that is asked and withdrawn in this turn of the loop."""
+        """Take one turn for all calls submitted and withdrawn in this turn of the loop."""
         if not self._is_due:
             self._is_due = True
             self._bound.call_soon(self._enter, self._turn)
@@ -139,7 +139,7 @@ class AsyncioDriver:
     def forget(self) -> None:
         """Close the port after the last handle was garbage collected."""
         if self._life.state not in (State.CONNECTING, State.CONNECTED):
-            # Nothing else: libmodbus's context of a serial port may be gone by now.
+            # No other cleaning: libmodbus's context of a serial port may be freed by now.
             self._in_loop(self._alarm.cancel)
             return
         try:
@@ -230,7 +230,7 @@ class AsyncioDriver:
                 self._tell()
 
     def _interrupt(self, cause: BaseException) -> None:
-        """Leave the connection, because it is unknown what was sent, and end all calls."""
+        """Leave the connection, because it is unknown how much was sent, and end all calls."""
         error = ModbusConnectionError(f"interrupted: {cause!r}", errno=errno.EINTR)
         error.__cause__ = cause
         if self._attempt is None:
@@ -240,7 +240,7 @@ class AsyncioDriver:
         self._connection.interrupted(error, self._now())
         for job in list(self._callers):
             job.settle(error)
-        self._ended.extend(self._callers)  # also what was over when the exception came
+        self._ended.extend(self._callers)  # also calls that had ended when the exception came
 
     def _tell(self) -> None:
         """Call user functions, and let tasks go on, now that the state is consistent."""
@@ -253,7 +253,7 @@ class AsyncioDriver:
                     self._notices.give()
                     continue
                 caller = self._callers.pop(self._ended.popleft(), None)
-                if caller is None:  # it is gone, or was told
+                if caller is None:  # the caller was cancelled, or has its outcome
                     continue
                 try:
                     if (result := caller()) is not None:

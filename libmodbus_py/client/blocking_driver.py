@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BlockingDriver", "make_driver"]
 
-# How long `close` waits for another thread to leave a connection that it was told to leave.
+# How long `close` waits for another thread to leave the connection.
 LEAVING_S = 1.0
 
 # Shorter waits are slept, because silences on a line are shorter than the milliseconds of poll().
@@ -34,7 +34,7 @@ SLEPT_S = 0.005
 
 class BlockingDriver:
     """
-    Runs the requests of one connection, those of one caller at a time, for any thread.
+    Runs the requests of one connection; several threads may call, one at a time is served.
 
     While a thread holds `lock`, only that thread can send. `waker` is how it waits.
     """
@@ -115,7 +115,7 @@ class BlockingDriver:
                     self._turn(job, now)
                     if self._notices.waiting:
                         self._notices.give()
-                    if not job.is_done:  # most requests take one turn
+                    if not job.is_done:  # most requests are done after one turn
                         self._take_turns(job, lock)
                 if self._port.resume_at is not None:
                     self._finish_sending()

@@ -58,7 +58,7 @@ class Timeouts:
         self.busy_retries: int = busy_retries
 
     def but(self, timeout: float | None, retries: int | None) -> Timeouts:
-        """Return this object if both are None, else a copy with those that are not."""
+        """Return this object if both arguments are None, else a copy with those that are not."""
         if timeout is None and retries is None:
             return self
         return Timeouts(
@@ -115,7 +115,7 @@ class Call:
         self.outcome: Any = NOT_ASKED  # the result, or the exception
         self.is_done: bool = False
         self.adu: bytes = b""  # the frame that was sent last
-        self.sent_at: float = 0.0  # until it is sent: when it began to wait for a connection
+        self.sent_at: float = 0.0  # before sending: when it began to wait for a connection
         self.waited: float = 0.0  # seconds of its timeout that had passed when it was connected
         # How often it was sent again: because it was not answered, and because the device was busy.
         self.tries: tuple[int, int] = 0, 0
@@ -156,25 +156,25 @@ class Call:
         return self.sent_at - self.waited + self.timeouts.timeout
 
     def on_end(self, callback: Callable[[Call], object]) -> None:
-        """Call a function once it has its outcome."""
+        """Call a function once the call has its outcome."""
         self.on_done = callback
 
     def await_connection(self, now: float) -> None:
-        """Begin its time, because it waits for a connection."""
+        """Begin the time of the call, because it waits for a connection."""
         self.sent_at, self.waited = now, 0.0
 
     def note_connection(self, now: float) -> None:
-        """Stop its time until it is sent: now it waits for other requests."""
+        """Stop the time until the request is sent: now it waits for other requests."""
         self.waited = now - self.sent_at
 
     def note_sent(self, adu: bytes, now: float) -> None:
-        """Note that a frame of it is sent: its time goes on."""
+        """Note that a frame of the request is sent: the time goes on."""
         self.adu = adu
         self.sent_at = now
         self.state = SENT
 
     def answer(self, reply: bytes | ModbusError) -> None:
-        """Note the reply, or the error in place of one."""
+        """Note the reply, or the error that replaces a reply."""
         self.reply = reply
         self.state = ANSWERED
 
@@ -183,12 +183,12 @@ class Call:
         self.reply = error
 
     def hold(self) -> None:
-        """Note that an answer came, which may be that to another request."""
+        """Note that an answer was received, which may belong to another request."""
         self.state = ANSWERED
 
     def try_again(self, now: float, *, is_busy: bool) -> int | None:
         """
-        Begin its time anew, because it is sent again; return how often that was done before.
+        Restart the time for another sending; return how often that was done before.
 
         None if it may not be sent again.
         """
@@ -291,7 +291,7 @@ class Batch:
         return self.outcomes
 
     def on_end(self, callback: Callable[[Batch], object]) -> None:
-        """Call a function once it is over."""
+        """Call a function once the batch is over."""
         self.on_done = callback
 
     def next(self) -> Call:
@@ -299,7 +299,7 @@ class Batch:
         return self.waiting.pop()
 
     def count(self, call: Call) -> None:
-        """Note that a call has its outcome; the calls behind one that failed are forgotten."""
+        """Count a call that has its outcome; the calls after a failed one are forgotten."""
         self._open -= 1
         outcome = call.outcome
         if isinstance(outcome, BaseException) and self._ends_with(outcome):
@@ -348,7 +348,7 @@ class Matching(ABC):
     def __init__(self, statistics: Statistics, trace: Trace) -> None:
         # Requests in flight, by their ids, in the order in which they were sent.
         self.pending: dict[int, Call] = {}
-        # When `expire` must be called; may be too early, but never too late.
+        # The time at which `expire` must be called; may be too early, but never too late.
         self.alarm: float = math.inf
         self.unanswered: int = 0  # requests without an answer since the last answer
         self.unasked: int = 0  # bytes since the last request, while no answer was awaited
@@ -431,7 +431,7 @@ class Matching(ABC):
 
 
 def no_answer(timeout: float, data: bytes, *, is_held: bool = False) -> ModbusTimeoutError:
-    """Return the error for no answer; with `is_held`, one was not held long enough (`Line`)."""
+    """Return the error for no answer; `is_held`: an answer was not held long enough (`Line`)."""
     if is_held:
         return ModbusTimeoutError(
             f"within {timeout:g} s it is unknown whether {in_hex(data)} answers this request "

@@ -49,7 +49,7 @@ LOSSES_BEFORE_END = 3
 
 class Transactions:
     """
-    Sends requests in their order, and settles them.
+    Sends requests in their order, and settles their outcomes.
 
     Of the port only the name, the silence and the certificate are used.
     """
@@ -65,7 +65,7 @@ class Transactions:
         self.statistics: Statistics = settings["statistics"] or Statistics()
         self.url: str = str(endpoint)
         self._trace = Trace(self.url, settings["trace"], later=self.notices.add)
-        # Who waits for a device misses it during a pause.
+        # Whoever waits for a device to connect would miss the connection during a pause.
         pause = 0.0 if endpoint.is_listening else settings["max_pause"]
         life = Reconnecting(str(port), pause, self.statistics, self.notices, settings["on_state"])
         self.life: Reconnecting = life
@@ -110,7 +110,7 @@ class Transactions:
     # --- callers ------------------------------------------------------------------------------
 
     def submit(self, job: Call | Batch, now: float) -> None:
-        """Take a request, or several of one caller; outcomes may be set at once."""
+        """Accept a request, or several of one caller; outcomes may be set at once."""
         if isinstance(job, Batch):
             if not job.waiting:
                 return
@@ -132,14 +132,14 @@ class Transactions:
     def withdraw(self, job: Call | Batch, now: float) -> None:
         """Forget requests; their answers count as missing until they arrive."""
         job.forget()
-        # Of a batch also those behind one that failed, which may be in flight.
+        # Of a batch also the calls after a failed one, which may be in flight.
         calls = job.calls if isinstance(job, Batch) else [job]
         were_in_flight = [self._let_go(call, now) for call in calls]
         if any(were_in_flight):
             self.matching.note_unanswered()
 
     def _let_go(self, call: Call, now: float) -> bool:
-        """Stop waiting for a request whose caller is gone; return True if it was in flight."""
+        """Stop waiting for a request whose caller left; return True if it was in flight."""
         self.queue.leave(call)
         was_in_flight = self.matching.withdraw(call, now)
         if was_in_flight:
@@ -168,7 +168,7 @@ class Transactions:
 
     def start(self, now: float, send: Callable[[list[bytes], float], object]) -> bool:
         """
-        Send what may be sent now; return True if that was anything.
+        Send the requests that may be sent now; return True if any was sent.
 
         At once up to half of those that may be in flight: the next call sends the others, so that
         the server has work while answers are decoded. Frames are traced once they were sent.
@@ -241,7 +241,7 @@ class Transactions:
     # --- the connection -----------------------------------------------------------------------
 
     def opened(self, now: float) -> None:
-        """The connection was established: send what waits for it."""
+        """The connection was established: send the waiting requests."""
         self._reset(now)
         self._opened_at = now
         self._next_start = max(self._next_start, now + self._settings["connect_delay"])
@@ -302,7 +302,7 @@ class Transactions:
         # A connection that was given up as dead has taken its time, and the next one may be alive.
         if by_itself and self.life.fruitless >= LOSSES_BEFORE_END:
             self.refuse(error)
-        for call in list(self.queue.waiting):  # their time to wait for the next one begins
+        for call in list(self.queue.waiting):  # their time to wait for a connection begins
             self.queue.remove(call)
             if not call.is_done:
                 self.submit(call, now)
@@ -364,7 +364,7 @@ class Transactions:
         return again
 
     def refuse(self, error: ModbusError, later: Collection[Call] = ()) -> None:
-        """Fail all requests that wait, except some."""
+        """Fail all waiting requests, except some."""
         for call in self.queue.drain(later):
             if not call.is_done:
                 self._outcomes.refuse(call, error)
@@ -410,7 +410,7 @@ class Transactions:
                     self._outcomes.note_invalid(mistake, call, now)
                 else:
                     self.statistics.note_answer(reply[0], now - call.sent_at, now)
-                    if self.life.fruitless:  # the other side is alive
+                    if self.life.fruitless:  # the server or device is alive
                         self.life.prove()
                     call.settle(result)
                     if not self._has_ids:

@@ -70,7 +70,7 @@ class AsyncFunctions(Handle):
     def _ask(
         self, request: pdu.Request[Result], timeouts: Timeouts | None = None
     ) -> Awaitable[Result]:
-        """Send a request, for its result; `timeouts` in place of the handle's."""
+        """Send a request and return its result; `timeouts` replace those of the handle."""
         unit = self._unit
         is_broadcast = unit == 0 and self._has_broadcast
         call = Call(unit, request, timeouts or self._timeouts, is_broadcast)

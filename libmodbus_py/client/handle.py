@@ -193,7 +193,7 @@ class Handle:
 
     @property
     def _refusals(self) -> Refusals:
-        """The refusals of the unit, as all handles of this client know them."""
+        """The refusals of the unit, shared by all handles of this client."""
         from ..maps.refusals import Refusals
 
         return self._refusals_of.setdefault(self._unit, Refusals())
@@ -220,7 +220,7 @@ class Handle:
         )
 
     def _log_refusal(self, which: str) -> None:
-        """Log what the unit refuses."""
+        """Log the cells that the unit refuses."""
         from ..protocol.logs import HarmlessLogger
 
         HarmlessLogger(__name__).info("%s: cannot be read: %s", self._device, which)

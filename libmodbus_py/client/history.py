@@ -38,14 +38,14 @@ class Pair:
     silence: float = 0.0  # in DOUBT, how many seconds it must be silent
     # True if the last request was answered, but the time for HOLD was too short.
     is_answered: bool = False
-    is_repeating: bool = False  # True if a frame of it came without a request
-    slowest: float = 0.0  # how long its slowest answer took, ever
+    is_repeating: bool = False  # True if a frame of the pair came without a request
+    slowest: float = 0.0  # how long the slowest answer of the pair ever took
     _owed: weakref.ref[Call] | None = None
 
     def __init__(self, now: float, interval: float = math.inf) -> None:
         # After so many seconds an answer is checked again: doubled each time.
         self.interval: float = interval
-        self.heard_at: float = now  # when a frame of it came last
+        self.heard_at: float = now  # when a frame of the unit came last
         self.checked_at: float = now
         # Length of answers -> the longest time that one took, which fades, and the shortest one.
         self._times: dict[int, tuple[float, float]] = {}
@@ -54,12 +54,12 @@ class Pair:
 
     @property
     def quiet_at(self) -> float:
-        """In DOUBT, when it has been silent for long enough."""
+        """In DOUBT, the time at which the unit has been silent for long enough."""
         return self.heard_at + self.silence
 
     @property
     def owed(self) -> Call | None:
-        """The request whose answer may still come; None if others may come, too."""
+        """The request whose answer may still come; None if answers to others may come, too."""
         return None if self._owed is None else self._owed()
 
     def doubt(self, now: float, silence: float, owed: Call | None = None) -> None:
@@ -72,7 +72,7 @@ class Pair:
         self.heard(now)
 
     def heard(self, now: float) -> None:
-        """Count the silence anew."""
+        """Restart the silence."""
         self.is_answered = False
         self.heard_at = now
 
@@ -94,7 +94,7 @@ class Pair:
             self._answers[_asked(request)] = answer
 
     def is_of_another(self, request: bytes, answer: bytes) -> bool:
-        """Return True if an answer is the last one to another request, and not to this one."""
+        """Return True if an answer equals the last one to another request, but not to this one."""
         answers = self._answers
         return answers.get(_asked(request)) != answer and answer in list(answers.values())
 
@@ -145,7 +145,7 @@ class History:
 
 
 def _asked(request: bytes) -> bytes:
-    """Return what is asked for: the answer to a write does not depend on the values."""
+    """Return a request without the values of a write, on which the answer does not depend."""
     return request[:5]
 
 

@@ -66,9 +66,9 @@ class Ids(Matching):
         self._last = first_id()
         self._answered_at = 0.0
         self._abandoned: dict[int, None] = {}
-        # Those that the connection before left without an answer: a gateway may answer them here.
+        # Ids left unanswered by the connection before: a gateway may answer them on this one.
         self._owed: frozenset[int] = frozenset()
-        # The units that answered, where they are not those that were asked.
+        # The units that answered, where these differ from the requested units.
         self._answerers: WeakKeyDictionary[Call, int] = WeakKeyDictionary()
         self.reset(0.0)
 
@@ -217,7 +217,7 @@ class Ids(Matching):
         self._begin_again(self._framer.rest)
         self._abandoned.clear()
         self._strays = b""
-        self._is_late = False  # an answer to an earlier request came
+        self._is_late = False  # an answer to an earlier request came during this one
         return calls
 
 

@@ -30,7 +30,7 @@ CO_VARKEYWORDS = 0x08
 
 
 class NoOthers(TypedDict):
-    """The keyword arguments that a method takes besides those of its signature: none."""
+    """The keyword arguments of a method beside those of its signature: none."""
 
 
 class nothing:

@@ -185,13 +185,13 @@ class Line(Matching):
         self._is_sure = True
         self.unasked: int = 0
         self._silence.sent(len(adu), now)
-        if self._echo.is_there is None:  # of a request to which nothing came, nothing will
+        if self._echo.is_there is None:  # if no byte came, no echo will
             self._echo.forget()
         if self._echo.is_there is not False:
             self._echo.sent(adu, is_telling=_is_telling(call.pdu))
         is_unknown = self._is_unknown and now < self._opened_at + call.timeouts.timeout
         pair = self._history.pair(call.unit, call.pdu[0], now, is_unknown=is_unknown)
-        # A unit that owes another answer may stand still, and is not quiet.
+        # A unit that owes another answer may pause within a frame without being silent.
         if any(other.is_doubted for _, other in self._history.pairs_of(call.unit)):
             silence = TIMEOUTS_BETWEEN_CHECKS * call.timeouts.timeout
         else:
@@ -235,12 +235,12 @@ class Line(Matching):
             self._quiet_at = now + (self._framer.quiet or 0.0)
             self.wake(self._quiet_at)
             if self._endpoint.framing == "ascii" and not self._framer.pending:
-                self._search(call, now)  # the end of a frame is marked: no more of it comes
+                self._search(call, now)  # the delimiter marks the end of a frame
         calls, self._ended = self._ended, []
         return calls
 
     def _judge(self, frame: Frame | FrameError, now: float) -> None:
-        """Follow the table for one frame, or for bytes that are none."""
+        """Apply the table to one frame, or to bytes that are no frame."""
         call = self._call
         if isinstance(frame, FrameError):
             if self.is_traced:
@@ -282,7 +282,7 @@ class Line(Matching):
         longest = TIMES_SLOWEST * (self._history.slowest_of(call.unit) or math.inf)
         is_unusual = took > longest or pair.is_too_fast(len(pdu), took)
         if is_unusual:
-            pair.interval = 0.0  # the next one is checked, too: its time may end before HOLD does
+            pair.interval = 0.0  # the next answer is checked: its time may end before HOLD
         if (
             pair.is_doubted
             or self._is_opened
@@ -309,7 +309,7 @@ class Line(Matching):
         self.wake(min(self._held_until, call.deadline))
 
     def _believe(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
-        """Take an answer, and remember it."""
+        """Accept an answer, and remember it."""
         pair = self._pair(call, now)
         pair.note_answer(call.pdu, pdu)
         pair.note_time(len(pdu), came_at - call.sent_at, is_sure=self._is_sure)

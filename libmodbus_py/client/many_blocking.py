@@ -17,7 +17,7 @@ from .call import NOT_ASKED, SILENCE, Call, raised
 from .functions_blocking import BlockingFunctions
 from .keywords import NoOthers, check_plan_options, public_methods, unexpected
 
-# What only some methods need is imported by them.
+# Modules that only some methods need are imported by these.
 if TYPE_CHECKING:
     from ..maps.items import (
         AnyItem,
@@ -259,7 +259,7 @@ class BlockingMany(BlockingFunctions):
         )
 
     def _poll(self, what: Plan | WatchedPoints, at: float) -> Any:
-        """Read what is due at a time; what fails gets the reason in place of its values."""
+        """Read the due points at a time; a failed one has the reason in place of its value."""
         from ..maps.plan import Plan
         from ..maps.watched import polled
 

@@ -21,7 +21,7 @@ from ..ports.schemes import options_of
 from ..protocol.checks import checked_callback
 from ..protocol.mistakes import unknown_option
 
-# Programs that make no client need none of these, which bring dataclasses, and with it inspect.
+# Programs without a client need none of these, which import dataclasses and inspect.
 if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
     from ..ports.trace import OnTraced
@@ -89,7 +89,7 @@ def checked_options(
     **usual: Any,
 ) -> AsyncOptions:
     """
-    Return all options of a client: those given, else those of the URL, else the usual ones.
+    Return all options of a client: its arguments, else those of the URL, else the defaults.
 
     Args:
         endpoint: the endpoint of the URL.

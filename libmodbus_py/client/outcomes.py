@@ -60,7 +60,7 @@ class Outcomes:
         self._statistics = counts
 
     def note_invalid(self, mistake: BaseException, call: Call, now: float) -> None:
-        """Note what the class of a request raised for a reply: it refused it, or is wrong."""
+        """Note an exception of a request class for a reply: an invalid reply, or a mistake."""
         if isinstance(mistake, ModbusError):
             assert isinstance(call.reply, bytes)
             self._statistics.invalid += isinstance(mistake, InvalidResponse)
@@ -78,7 +78,7 @@ class Outcomes:
         call.settle(self._outcome(alike(error), call))
 
     def refuse(self, call: Call, error: ModbusError) -> None:
-        """Fail a request that is not sent, or not again; and those of its caller behind it."""
+        """Fail a request that is not sent, or not again; and later ones of its caller."""
         follower: Call | None = call
         while follower is not None:
             self.fail_unsent(follower, error)

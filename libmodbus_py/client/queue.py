@@ -35,7 +35,7 @@ class Queue:
         self.matching = matching
         self.limit = limit
         self.half: int = (limit + 1) // 2
-        self._left = 0  # at most so many in `waiting` are those of callers that are gone
+        self._left = 0  # at most this many calls in `waiting` have callers that left
         self._has_ids = matching.has_ids
 
     @property
@@ -112,7 +112,7 @@ class Queue:
             self.write = call
 
     def wait_again(self, calls: list[Call]) -> None:
-        """Put back requests that were sent before all others; their time goes on."""
+        """Put requests that were sent back to the front; their time goes on."""
         self.waiting.extendleft(reversed(calls))
         for call in calls:
             self.matching.wake(call.deadline)

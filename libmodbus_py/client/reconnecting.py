@@ -61,7 +61,7 @@ class Notices:
         self.waiting.append((name, call))
 
     def give(self) -> None:
-        """Make the calls, and log each Exception; what comes after another one waits."""
+        """Make the calls, and log each Exception; nested ones wait until the first has ended."""
         if self._is_giving:  # a callback uses the client; the other calls are made after it
             return
         self._is_giving = True
@@ -114,7 +114,7 @@ class Reconnecting:
             self._uniform = random.uniform
 
     def refusal(self, now: float, deadline: float) -> ModbusConnectionError | None:
-        """Return why there will be no connection before the deadline; None if it is not known."""
+        """Return why there will be no connection before the deadline; None if there may be one."""
         if self.state is State.CLOSED:
             return ModbusConnectionError("this client is closed", errno=errno.EBADF)
         last = self._last_failure
@@ -147,12 +147,12 @@ class Reconnecting:
         self._change(State.DISCONNECTED, error)
 
     def given_up(self) -> None:
-        """Note that an attempt was cancelled, which says nothing about the other side."""
+        """Note that an attempt was cancelled, from which nothing follows about the device."""
         self.fruitless -= 1
         self._change(State.DISCONNECTED)
 
     def prove(self) -> None:
-        """Note that an answer came over the connection."""
+        """Note that an answer was received over the connection."""
         self.fruitless = 0
         self._last_failure = None
 
@@ -167,7 +167,7 @@ class Reconnecting:
         self._change(State.DISCONNECTED, error)
 
     def close(self) -> None:
-        """Close it for good."""
+        """Close the connection permanently."""
         if self.state is not State.CLOSED:
             self._change(State.CLOSED)
 

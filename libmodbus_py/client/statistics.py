@@ -66,7 +66,7 @@ class Statistics:
         default_factory=lambda: [0] * (len(TIME_BOUNDS) + 1), repr=False
     )
     answer_seconds: float = field(default=0.0, repr=False)
-    # The good results by function, of which nearly all are; and the other ones.
+    # The good results by function, by far the most; and the other results.
     _good: list[int] = field(default_factory=lambda: [0] * 256, repr=False)
     _others: defaultdict[tuple[int, str], int] = field(
         default_factory=lambda: defaultdict(int), repr=False

@@ -36,11 +36,11 @@ class TaskCaller:
         self._loop = loop
         self._job = job
         self._withdraw = withdraw
-        self._resume: Callable[[Any], object] | None = None  # of the task, while it waits
+        self._resume: Callable[[Any], object] | None = None  # resumes the waiting task
         self._cancelled: CancelledError | None = None
 
     def go_on(self) -> None:
-        """Let the task go on, if it waits: at once, unless another task calls this."""
+        """Resume the task, if it waits: at once, unless another task calls this."""
         resume, self._resume = self._resume, None
         if resume is None:
             return
@@ -53,7 +53,7 @@ class TaskCaller:
         job = self._job
         try:
             if not job.is_done:
-                self._asyncio_future_blocking = True  # so a task knows what is like a Future
+                self._asyncio_future_blocking = True  # tells a task that this is like a Future
                 yield self
         finally:
             if not job.is_done:

@@ -17,7 +17,7 @@ from ..protocol.errors import IllegalFunction
 from .keywords import NoOthers, check_plan_options, public_methods, unexpected
 from .many_blocking import BlockingMany
 
-# What only some methods need is imported by them.
+# Modules that only some methods need are imported by these.
 if TYPE_CHECKING:
     from ..maps.items import NamedValues, PlanOptions, Tolerant
     from ..maps.register_map import AnyMap

@@ -65,7 +65,7 @@ class ContextBase(ABC):
         self._debug = False
         self.unit = unit
         self.response_timeout = timeout
-        # Else each byte of an answer may take as long as the answer.
+        # Otherwise each byte of an answer might take as long as the answer.
         self.byte_timeout = 0.0
         abandoned_in_children(self)
 
@@ -134,7 +134,7 @@ class ContextBase(ABC):
             self._state = self._after
 
     def _prepare(self, request: Request[Any] | None = None) -> None:
-        """Do what has to be done before a request; None for one that reads registers or bits."""
+        """Prepare the context for a request; None for one that reads registers or bits."""
         self._ensure_open()
 
     def _wait(self, descriptor: int, events: int, deadline: float) -> bool:
@@ -148,7 +148,7 @@ class ContextBase(ABC):
         if self._waker is None:
             try:
                 self._waker = Waker()
-            except OSError as error:  # no descriptor is left
+            except OSError as error:  # the process has no free descriptor
                 raise lost(error) from error
         if self._is_closed:  # `close` sets this, and then wakes
             raise closed_meanwhile()
@@ -190,7 +190,7 @@ class ContextBase(ABC):
 
     @abstractmethod
     def _spoil(self) -> None:
-        """See to it that no late answer is taken, because a request has failed."""
+        """Make sure that no late answer is used, because a request has failed."""
 
     # --- requests ---------------------------------------------------------------------------
 

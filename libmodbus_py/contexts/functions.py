@@ -201,7 +201,7 @@ class Functions(ContextBase):
     # --- how ---------------------------------------------------------------------------------
 
     def _read(self, kind: Any, function: Any, cells: Any, address: int, count: int) -> list[int]:
-        """As `_transact`, without what most calls do not need: each read goes through here."""
+        """As `_transact`, without steps that few calls need: each read goes through here."""
         if not (
             type(address) is int
             and type(count) is int
@@ -370,7 +370,7 @@ class Slave(Functions):
             self._requests.extend(self._receive_frames(framer, deadline))
 
     def _answer(self, request: bytes, function: Callable[..., int], *arguments: Any) -> int:
-        # Zeroed, and as long as the longest: libmodbus looks where a short request has no bytes.
+        # Zeroed, and as long as the longest request: libmodbus reads beyond a short one.
         buffer = ffi.new("uint8_t[]", lib.MODBUS_TCP_MAX_ADU_LENGTH)
         ffi.memmove(buffer, request, len(request))
         with self._lock, self._errors():

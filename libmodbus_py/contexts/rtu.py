@@ -247,7 +247,7 @@ class RtuContext(Slave):
         return b"".join(self._port.receive())
 
     def _discard_input(self) -> int:
-        self._port.discard_input()  # modbus_flush would discard what has yet to be sent, too
+        self._port.discard_input()  # modbus_flush would discard unsent bytes, too
         return 0
 
     def _client_framer(self, request: Request[Any]) -> RtuFramer:

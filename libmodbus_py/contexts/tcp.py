@@ -25,7 +25,7 @@ from .functions import Slave
 
 
 class _Opening(TcpPort):
-    """A connection while it is opened."""
+    """A connection that is being opened."""
 
     @property
     def socket(self) -> socket.socket:
@@ -151,13 +151,13 @@ class TcpContext(Slave):
         descriptor = lib.modbus_get_socket(self._modbus)
         if descriptor == -1:
             if number in (errno.EAGAIN, errno.EINTR, errno.ECONNABORTED):
-                return None  # the master has gone already
+                return None  # the master has closed the connection already
             raise ModbusConnectionError(os.strerror(number), errno=number)
         connection = self._connection = socket.socket(fileno=descriptor)
         if error := too_many_descriptors(descriptor):
             self._drop()
             raise error
-        connection.setblocking(False)  # one that reads nothing must not hold up the slave
+        connection.setblocking(False)  # a master that reads nothing must not block the slave
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._state = READY
         try:

@@ -245,8 +245,8 @@ class ExecutedRequest(NamedTuple):
 
     caller: Caller
     request: bytes
-    response: bytes  # empty if there is none
-    changes: tuple[ValueChange, ...]  # what it writes, or would have written
+    response: bytes  # empty without a response
+    changes: tuple[ValueChange, ...]  # the values that the request writes, or would have written
     is_change: bool
 
 

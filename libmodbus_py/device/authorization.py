@@ -92,7 +92,7 @@ class Authorization:
 
 
 def what_is_asked(request: ClientRequest) -> str:
-    """Return function and unit of a request, and what it touches first, for the log."""
+    """Return function and unit of a request, and its first access, for the log."""
     ranges = [f"write {_range_text(access)}" for access in request.writes[:1]]
     ranges += [f"read {_range_text(access)}" for access in request.reads[:1]]
     return ", ".join([f"function {request.function} of unit {request.unit}", *ranges])
@@ -271,7 +271,7 @@ def _run(name: Path, place: Any, sizes: Mapping[str, int]) -> tuple[str, int, ra
 
 
 def _code(at: int, function: object) -> Code:
-    """Return a function code and its sub-function, None for all."""
+    """Return a function code and its sub-function or MEI type, None for all."""
     name = ("functions", at)
     code, sub = function, None
     if isinstance(function, str):
@@ -289,7 +289,7 @@ def _code(at: int, function: object) -> Code:
 def _sub_function(request: pdu.Request[Any]) -> int | None:
     if isinstance(request, pdu.Diagnostics):
         return request.sub_function
-    # The MEI type, which both classes of this function have there.
+    # The MEI type, which is the second byte in both classes of this function.
     return request.encode()[1] if request.function == pdu.EncapsulatedTransport.function else None
 
 

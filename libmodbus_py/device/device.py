@@ -197,7 +197,7 @@ class Device(NamedValues, PythonFunctions):
             self._arrange()
 
     def _arrange(self) -> None:
-        """Decide which requests rules, hooks and handlers want; C may answer all others."""
+        """Find the requests that rules, hooks and handlers need; C may answer all others."""
         rules = PointRules(self._ruled_cells(), lambda: self.points)
         self._rules = rules if rules.reads or rules.writes else None
         reads, writes = (
@@ -350,7 +350,7 @@ class Device(NamedValues, PythonFunctions):
             TypeError, ValueError: `start` or `unit` is outside its range.
             ModbusConnectionError: libmodbus failed in memory.
         """
-        if not (0 <= start <= len(data) and 0 <= unit <= 0xFF):  # C does not check them
+        if not (0 <= start <= len(data) and 0 <= unit <= 0xFF):  # C does not check these numbers
             start = integer("start", start, 0, len(data))
             unit = integer("unit", unit, 0, 0xFF)
         if self._has_another_answer():

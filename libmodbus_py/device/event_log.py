@@ -49,7 +49,7 @@ COUNTED_EXCEPTIONS = {
 
 class EventLog:
     """
-    The notes of one device on one line, which can be silenced if `is_serial`.
+    The counters and events of one device on one line; `is_serial`: it can be silenced.
 
     It does not execute or answer while `listen_only`; `delimiter` (0..127) ends its ASCII frames.
     """

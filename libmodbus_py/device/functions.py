@@ -29,7 +29,7 @@ Handlers = MappingABC[type[pdu.Request[Any]], Callable[[Any], Any]]
 """Request class -> the function of the application that answers its requests."""
 
 
-# What would be passed over in silence if it were set: the device does not look there.
+# Attributes that the device would ignore if they were set.
 ARGUMENTS_ONLY = frozenset((
     "after_write", "authorize", "before_read", "before_write", "canopen", "handlers",
     "identification",
@@ -123,7 +123,7 @@ class PythonFunctions:
         ]
 
     def _write_file_records(self, request: pdu.WriteFileRecords, _: EventLog) -> None:
-        # All are found before the first is written: all or nothing.
+        # All files are found before the first is written: all or nothing.
         files = [self._file(file, at, len(values)) for file, at, values in request.records]
         for file, (_number, record, values) in zip(files, request.records, strict=True):
             file.write(record, values)
@@ -171,7 +171,7 @@ class PythonFunctions:
             raise IllegalDataValue(f"data {data.hex()}")
         match sub_function:
             case pdu.SubFunction.RETURN_QUERY_DATA | pdu.SubFunction.RESTART_COMMUNICATIONS:
-                pass  # a restart comes after its echo
+                pass  # the restart follows its echo
             case pdu.SubFunction.CHANGE_ASCII_DELIMITER:
                 delimiter = delimiter_after(request.encode(), log.delimiter)
                 if delimiter != data[0] or data[1]:

@@ -177,7 +177,7 @@ def timed(name: str, call: Callable[[Given], Result]) -> Callable[[Given], Resul
         try:
             result = call(argument)
             return result if result is None else finished(name, result)
-        finally:  # a call that fails may have taken long, too
+        finally:  # a failed call may have taken long, too
             took = time.monotonic() - start
             if took >= SLOW and not is_known:
                 is_known = True

@@ -201,7 +201,7 @@ class RegisterTable(Table[int]):
     @property
     def view(self) -> memoryview:
         """As `Table.view`; writable, in the byte order of the machine."""
-        return self._cells[:]  # another object: `with` releases a memoryview
+        return self._cells[:]  # another memoryview, because `with` releases it
 
     def read(self, address: int, type: TypeName, **layout: Unpack[Layout]) -> Any:
         """Read one value, such as ``read(100, "float32", order="CDAB")``."""

@@ -63,7 +63,7 @@ def source_after(
     from ..maps.point_plan import sources_of
 
     value = None
-    for source in sources_of([point], points).values():  # each scales the next one
+    for source in sources_of([point], points).values():  # each point scales the next one
         value = source.decode(cells_after(source, mapping, writes), source=value)
     return value
 
@@ -109,7 +109,7 @@ class NamedValues:
             self._arrange()
 
     def _arrange(self) -> None:
-        """Decide anew what depends on the tables."""
+        """Compute again the values that depend on the tables; subclasses override this."""
 
     @property
     def has_points(self) -> bool:
@@ -160,7 +160,7 @@ class NamedValues:
             raise WrongType("values", f"must be a mapping from names to values, not {kind}")
         points = self.points
         targets = {name: known_point(points, name) for name in values}
-        # What scales comes first: the others are scaled by what its cells then hold.
+        # Scales are set first: other values are scaled by the new cells of their scale.
         scales = [name for name in sources_of(targets.values(), points) if name in targets]
         changes: list[tuple[Point, CellChange]] = []
         writes: dict[tuple[str, int], Any] = {}
@@ -220,7 +220,7 @@ class PointRules:
     def __init__(
         self,
         cells_of_rules: Iterable[RuledCells],
-        points: Callable[[], MappingABC[str, Point]] = dict,  # all, with those that scale others
+        points: Callable[[], MappingABC[str, Point]] = dict,  # all points, and their scales
     ) -> None:
         rules = list(cells_of_rules)
         self._points = points

@@ -94,13 +94,13 @@ def fingerprint(device: StateOwner) -> bytes:
 
 
 def _present(device: StateOwner) -> Cells:
-    """Return copies of all values. Hold the mapping's lock."""
+    """Return copies of all values. The caller holds the mapping's lock."""
     views = _views(device).items()
     return {place: (start, array(view.format, bytes(view))) for place, (start, view) in views}
 
 
 def _with_values(device: StateOwner, values: Iterable[Access]) -> Cells:
-    """Return the first values, with others in their place. Hold the mapping's lock."""
+    """Return the initial values, some of them replaced. The caller holds the mapping's lock."""
     views = _views(device).items()
     cells_of = {place: (at, array(view.format, bytes(view.nbytes))) for place, (at, view) in views}
     for value in (*device.first_values(), *values):
@@ -123,7 +123,7 @@ def _differences(present: Cells, others: Cells) -> Iterator[Access]:
 
 
 def _set_values(device: StateOwner, values: Iterable[Access]) -> None:
-    """Set these values, and all others to the first ones."""
+    """Set these values, and all others to their initial ones."""
     with device.mapping as mapping:
         # Equal cells are not written, because untouched pages of zeros take no memory.
         for run in _differences(_with_values(device, values), _present(device)):
@@ -260,7 +260,7 @@ def _checked_runs(
 
 
 def _object(path: Path, content: object, keys: Iterable[str] | None = None) -> dict[str, Any]:
-    """Return an object of JSON; if `keys` are passed, it may have no others."""
+    """Return an object of JSON; if `keys` are passed, other keys are refused."""
     if not isinstance(content, dict):
         raise WrongType(path, f"must be an object, not {shown(content)}")
     for key in content:

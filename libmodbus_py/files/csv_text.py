@@ -128,7 +128,7 @@ class CsvText:
         return row.cells[:width]
 
     def _head(self, delimiter: str, is_known: Callable[[str], bool]) -> tuple[int, CsvRow, int]:
-        """Return how many headings are known, their row, and how many rows stand above it."""
+        """Return how many headings are known, their row, and the number of rows above."""
         head = 0, CsvRow(1, []), 0
         try:
             for at, row in enumerate(islice(self._rows(delimiter), 31)):  # up to 30 lines of titles

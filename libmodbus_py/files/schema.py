@@ -49,11 +49,11 @@ class Keys(dict[str, Key]):
         self._make = make
 
     def but(self, *names: str) -> Keys:
-        """Return all keys but these; reading them returns a dict."""
+        """Return all keys except some; reading them returns a dict."""
         return Keys(key for key in self.values() if key.name not in names)
 
     def only(self, *names: str) -> Keys:
-        """Return those of these keys that exist; reading them returns a dict."""
+        """Return the existing ones of some keys; reading them returns a dict."""
         return Keys(key for key in self.values() if key.name in names)
 
     def optional(self) -> Keys:
@@ -82,7 +82,7 @@ class Keys(dict[str, Key]):
 
 
 def keys_of(make: Callable[..., Any], **checks: Check) -> Keys:
-    """Return the arguments of a class as keys; it checks all values but those of `checks`."""
+    """Return the arguments of a class as keys; the class checks values without `checks`."""
     keys = [
         Key(name, checks.get(name, anything), default=entry.default, kind=str(entry.annotation))
         for name, entry in inspect.signature(make).parameters.items()
@@ -185,6 +185,6 @@ def _amount(
 
 
 def _in_units(text: str, units: dict[str, int]) -> float:
-    """Return an amount in its smallest unit; nan if it is none."""
+    """Return an amount in its smallest unit; nan for another text."""
     match = _AMOUNT.fullmatch(text)
     return float(match[1]) * units.get(match[2], math.nan) if match else math.nan

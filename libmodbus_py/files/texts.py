@@ -21,7 +21,7 @@ from ..version import what_is_missing
 
 
 class FilePlace(NamedTuple):
-    """A place in a file; everything is left out where it is not known."""
+    """A place in a file; unknown parts are left out."""
 
     file: str = ""
     line: int | None = None  # from 1
@@ -58,7 +58,7 @@ class FileError(WrongValue):
         return type(self)(self.path, self.reason, self.between, self.place._replace(file=file))
 
     def under(self, around: Path) -> Mistake:
-        """Return an error about the key that names the file of this one."""
+        """Return a mistake at the key `around`, which names the file of this error."""
         return WrongValue.about(around, str(self))
 
     def __str__(self) -> str:
@@ -78,7 +78,7 @@ def _content(path: str | PathLike[str], kind: type[FileError]) -> bytes:
 
 
 def read_text(path: str | PathLike[str], kind: type[FileError]) -> str:
-    """Return the text of a file in UTF-8; raise a `kind` if there is none."""
+    """Return the text of a file in UTF-8; raise an error of the class `kind` if that fails."""
     try:
         return _content(path, kind).decode("utf-8")
     except UnicodeDecodeError as error:
@@ -129,14 +129,14 @@ def _spreadsheet(
         raise kind((), reason, place=place) from None
     try:
         book = load_workbook(data, data_only=True)
-    except Exception as error:  # each version of openpyxl raises others
+    except Exception as error:  # each version of openpyxl raises other exceptions
         raise kind((), f"is no spreadsheet: {error}", place=place) from None
     if sheet is not None and sheet not in book.sheetnames:
         reason = f"must be one of {', '.join(book.sheetnames)}, not {sheet!r}"
         raise kind("sheet", reason, place=place)
     name = sheet or book.sheetnames[0]
     rows = [[*row] for row in book[name].iter_rows(values_only=True)]
-    for area in book[name].merged_cells.ranges:  # each row has what several rows share
+    for area in book[name].merged_cells.ranges:  # merged cells are copied into each of their rows
         for row in rows[area.min_row : area.max_row]:
             row[area.min_col - 1] = rows[area.min_row - 1][area.min_col - 1]
     text = "".join(f"{','.join(map(_quoted, row))}\n" for row in rows)
@@ -145,7 +145,7 @@ def _spreadsheet(
 
 
 def _quoted(cell: object) -> str:
-    """Return a cell of a spreadsheet as one of CSV, on one line."""
+    """Return a cell of a spreadsheet as a cell of CSV, on one line."""
     if isinstance(cell, float) and cell.is_integer():
         cell = int(cell)
     text = str(cell).lower() if isinstance(cell, bool) else "" if cell is None else str(cell)

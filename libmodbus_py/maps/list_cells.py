@@ -320,7 +320,7 @@ def find_columns(
         if kind not in columns:
             columns[kind] = ListColumn(at, heading, base)
         elif kind == "address" and base != columns[kind].base and base:
-            if base == 10:  # one in hexadecimal beside it says the same
+            if base == 10:  # a hexadecimal column beside it has the same value
                 columns[kind] = ListColumn(at, heading, base)
         elif kind == "description" or (
             word_of(columns[kind].heading) in KEYS and kind not in CHANGE_VALUES
@@ -341,7 +341,7 @@ def find_columns(
 def _kind(
     heading: str, word: str, option: SaidColumns, origin: Origin, error: Callable[[str], Exception]
 ) -> str | None:
-    """Return the kind of a heading that is not named in the options; None if it has none."""
+    """Return the kind of a heading without an option; None for an unknown one."""
     if word_of(heading) in option.ignored:
         return None
     for text in (word_of(heading), word, word.removeprefix("modbus ")):
@@ -349,7 +349,7 @@ def _kind(
             return origin.columns[text] or None
         kind = HEADINGS_OF_KINDS.get(text, words().headings.get(text))
         if kind is not None and kind.split("_hex")[0].split("_dec")[0] in option.headings:
-            return None  # another column is said to hold it
+            return None  # an option names another column for this kind
         if kind is not None:
             return kind
     ambiguous = words().ambiguous

@@ -201,7 +201,7 @@ class ListOptions:
 
     @property
     def is_empty(self) -> bool:
-        """True if nothing is said."""
+        """True without any option."""
         return self == ListOptions()
 
 

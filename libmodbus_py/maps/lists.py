@@ -106,7 +106,7 @@ class RegisterList:
         self._rows = list(self._selected(rows))
         self._table = self._options.table or self._origin.table
         self._tells_table = {"table", "function"} & self._columns.keys() or self._table
-        self._first_address = self._options.first_address  # address 0 as the list calls it
+        self._first_address = self._options.first_address  # the list's number for address 0
         if self._first_address is None and self._tells_table:
             self._first_address = self._origin.first_address
         self._check_ignored(ignored_headings)
@@ -168,7 +168,7 @@ class RegisterList:
             kinds = {meanings.get(word_of(cell), word_of(cell)) for cell in row.cells}
             if row.cells == self._text.head.cells:
                 is_of_other = False
-                self.notes.append(f"the headings stand in line {row.line} again")
+                self.notes.append(f"the headings are repeated in line {row.line}")
                 continue
             if kinds.issuperset(("name", "address")):
                 reason = "has other headings: a list has one table"

@@ -40,9 +40,9 @@ class Contents:
     """The content of a file, which is a map if there are no mistakes."""
 
     points: dict[str, Point] = field(default_factory=dict)
-    entries: dict[str, MapEntry] = field(default_factory=dict)  # of each of these points
+    entries: dict[str, MapEntry] = field(default_factory=dict)  # point -> its entry in the file
     mistakes: list[MapError] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)  # how it was read, if not in the usual way
+    notes: list[str] = field(default_factory=list)  # notes about an unusual reading of the file
     columns: Mapping[str, str] = field(default_factory=dict)  # kind of a column -> its heading
 
     def place(self, name: str) -> FilePlace:

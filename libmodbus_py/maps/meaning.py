@@ -270,7 +270,7 @@ class Meaning:
     # --- write -----------------------------------------------------------------------------
 
     def change(self, value: Any, scaling: Scaling | None) -> CellChange:
-        """Return what a value changes; errors begin with "value"."""
+        """Return the changed cells of a value; errors begin with "value"."""
         kind, raw = self._kind, self._raw_of(value, scaling)
         if kind is None:
             return CellChange([checked_bit("value", raw)], None)

@@ -159,7 +159,7 @@ class Point:
     @property
     def to_value(self) -> Callable[[Any], Any] | None:
         """
-        The function that converts a raw value to a scaled one; None where they are the same.
+        The function that converts a raw value to a scaled one; None if both are equal.
 
         The factor of `scale_from` is not in it.
         """
@@ -231,7 +231,7 @@ class Point:
         return DecodedValue.of(results, is_list=self.count > 1)
 
     def scaling_for(self, source: object) -> Scaling | None:
-        """Return the scaling, None where raw values are values; or raise NoValue for no scale."""
+        """Return the scaling, None without one; or raise NoValue for an invalid scale."""
         if self.scale_from is None:
             return self._scaling
         try:
@@ -322,7 +322,7 @@ class Point:
 
 
 def _is_within(value: Any, low: Any, high: Any) -> bool:
-    """Return True if the bounds hold as they are written: Decimal("0.3") is not above 0.3."""
+    """Return True if a value is within the bounds as written: Decimal("0.3") is not above 0.3."""
     if not isinstance(value, int | float):
         value, low, high = (item if item is None else exact(item) for item in (value, low, high))
     return (low is None or value >= low) and (high is None or value <= high)

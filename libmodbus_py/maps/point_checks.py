@@ -148,7 +148,7 @@ def _check_bounds(point: Point, least: str, most: str) -> None:
 
 
 def _meaning(point: Point, kind: ValueType | None) -> Meaning:
-    """Return the meaning of the raw values; store the arguments that say what it is."""
+    """Return the meaning of the raw values; store the arguments that describe it."""
     missing = _listed(point.missing)
     part = _part(point, kind)
     states = _states(point, kind, part)
@@ -176,7 +176,7 @@ def _meaning(point: Point, kind: ValueType | None) -> Meaning:
 
 
 def _part(point: Point, kind: ValueType | None) -> Part | None:
-    """Return the bits that are the raw value; None if all are."""
+    """Return the bits that form the raw value; None for all."""
     names = [name for name in NEED_BITS if getattr(point, name) is not None]
     if not names:
         if kind is None or kind.name not in BYTE_TYPES:

@@ -75,7 +75,7 @@ FORMS = {"uint16": "H", "int16": "h"}
 
 
 class _Quick(NamedTuple):
-    """A point with one value in registers of one answer, and how it is decoded without detours."""
+    """A point with one value in registers of one answer, and its fast decoder."""
 
     name: str
     data: int
@@ -178,7 +178,7 @@ class PointPlan(Plan):
                 pass  # an error in place of the answer or the scale, or registers without a value
             slow.append(name)
         for answer in answer_list:
-            if isinstance(answer, PartialAnswer):  # its lost cells count as zeros until here
+            if isinstance(answer, PartialAnswer):  # cells that were not read are zeros until here
                 slow += [name for name in answer.lost if name in results]
         for name in slow:
             value = self._value(name, answer_list, sources)
@@ -215,7 +215,7 @@ class PointPlan(Plan):
 
 
 def _form_of(kind: ValueType, meaning: Meaning) -> str:
-    """Return the form of `struct` that does the same as the decoder of one register, or nothing."""
+    """Return the form of `struct` equal to the decoder of one register, or an empty text."""
     if kind.registers != 1 or kind.order != "ABCD" or meaning.part is not None:
         return ""
     return FORMS["uint16"] if meaning.bits else FORMS.get(kind.name, "")

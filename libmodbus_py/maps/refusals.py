@@ -50,7 +50,7 @@ _PlanSteps = Generator[list[pdu.Request[Any]], list[Any], Result]
 
 def is_refusal(outcome: object) -> bool:
     """True if an outcome is exception 2, 3 or 4, which can depend on the cells that are read."""
-    # The others do not depend on them: the function, a busy device, a gateway.
+    # Other failures do not depend on cells: the function, a busy device, a gateway.
     return isinstance(outcome, IllegalDataAddress | IllegalDataValue | ServerDeviceFailure)
 
 
@@ -135,7 +135,7 @@ class PastRefusal(NamedTuple):
 
 @dataclass(slots=True)
 class Refusals:
-    """What one client knows of a unit: refused pieces, where requests begin, and the first one."""
+    """The refusals of one unit, as one client knows them: pieces, cuts, and the first request."""
 
     pieces: dict[Span, PastRefusal] = field(default_factory=dict)
     cuts: dict[tuple[Any, ...], PastRefusal] = field(default_factory=dict)
@@ -159,7 +159,7 @@ class PartialAnswer(list[Any]):
 
 
 class _PlanRun:
-    """One run of a plan at one unit."""
+    """One run of a plan at one unit: its outcomes, and the search for refused pieces."""
 
     def __init__(
         self, blocks: Sequence[Block], refusals: Refusals, now: float, connects: int
@@ -168,7 +168,7 @@ class _PlanRun:
         self._refusals = refusals
         # The first connection is made by the first request.
         self._time = now, max(connects, 1)
-        self._read: dict[Span, Any] = {}  # piece -> its cells, or why they were not read
+        self._read: dict[Span, Any] = {}  # piece -> its cells, or the error
         self._found: set[Span] = set()
         self._is_answered = False
 
@@ -177,7 +177,7 @@ class _PlanRun:
         return (piece for block in self._blocks for piece in block)
 
     def tolerant(self) -> _PlanSteps[list[Any]]:
-        """Read all pieces but those refused before, and search for others."""
+        """Read all pieces except those refused before, and search for refused ones."""
         self._forget_old_cuts()
         reasons = self._refusals.pieces.copy()
         left_out = {piece: reasons[piece.span] for piece in self._pieces if piece.span in reasons}
@@ -280,7 +280,7 @@ class _PlanRun:
     def _keep_answers(
         self, requests: Sequence[tuple[Block, object]], outcomes: Sequence[Any]
     ) -> int:
-        """Keep outcomes up to the first failure; return the number of those before it."""
+        """Keep outcomes up to the first failure; return the number before the failure."""
         for at, ((block, _), outcome) in enumerate(zip(requests, outcomes, strict=False)):
             self._keep(block, outcome)
             if isinstance(outcome, ModbusError):
@@ -380,7 +380,7 @@ def reading(
 def carried_out(
     steps: _PlanSteps[Result], ask: Callable[[list[pdu.Request[Any]]], Iterable[Any]]
 ) -> Result:
-    """Return the result of steps whose outcomes another function gets."""
+    """Return the result of steps; another function gets the outcomes of their requests."""
     try:
         requests = next(steps)
         while True:

@@ -380,7 +380,7 @@ class BoundMap(MapBinding):
         return self._write(values)
 
     def __getattr__(self, attribute: str) -> Any:
-        if attribute.startswith("_"):  # before __init__, such as in copy.copy
+        if attribute.startswith("_"):  # read before __init__, such as in copy.copy
             raise AttributeError(attribute)
         return self._value(self._named(attribute))
 

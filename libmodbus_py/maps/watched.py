@@ -165,7 +165,7 @@ class WatchedPoints(PartialPlans):
         self.interval: float = self._pace.interval
 
     def poll(self, at: float) -> Generator[PointPlan, dict[str, Any], PolledValues]:
-        """Yield the plans of a poll that is due now, take their results, and return all values."""
+        """Yield the plans of points that are due, receive their results, return all values."""
         results = yield self.plan_of(self._pace.due(at))
         doubtful, fell = self._totals.take([*map(results.get, self.names)])
         if doubtful:

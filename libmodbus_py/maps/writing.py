@@ -71,7 +71,7 @@ class _Run:
 
 @dataclass
 class _Masked:
-    """Bits of one register that are written; the others are left as they are."""
+    """Bits of one register to write; the other bits stay as they are."""
 
     address: int
     function: WriteFunction
@@ -119,7 +119,7 @@ def write_requests(
 
 
 def _pieces(point: Point, cells: list[Any], function: WriteFunction) -> Iterator[_Run]:
-    """Yield cells that must stay together: a whole point if one request holds it, else a value."""
+    """Yield cells that must stay together: a point if it fits into one request, else a value."""
     most, size = TABLES[point.table].most_written, point.read.size
     if size > most:
         reason = f"{point.type} takes {size} registers, a write at most {most}"
@@ -132,7 +132,7 @@ def _pieces(point: Point, cells: list[Any], function: WriteFunction) -> Iterator
 def check_overlaps(changes: Iterable[tuple[Point, CellChange]]) -> None:
     """Raise ValueError, with both names, if two changes of points share cells or bits of them."""
     pairs = sorted(changes, key=lambda change: (change[0].table, change[0].address))
-    # Bits that are taken in the cells of the table, and the point that takes them first.
+    # The bits that points occupy in the cells of the table, and the first point there.
     writers: dict[tuple[str, int], tuple[int, str]] = {}
     for point, (_, masks) in pairs:
         for at, address in enumerate(point.cells):
@@ -170,7 +170,7 @@ def _held_bounds(point: Point) -> list[Any]:
     """Return the values that cells hold in which the bounds are written."""
     bounds: list[Any] = []
     for bound in (point.minimum, point.maximum):
-        with contextlib.suppress(ValueError):  # cells cannot hold every bound
+        with contextlib.suppress(ValueError):  # cells cannot have every bound as their value
             bounds += [] if bound is None else point.values_in(point.cells_for([bound]))
     return bounds
 

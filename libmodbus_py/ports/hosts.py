@@ -25,7 +25,7 @@ EVERYWHERE = ("0.0.0.0", "::")
 # A family and an address as getaddrinfo returns it -> a socket bound to it.
 Make = Callable[[socket.AddressFamily, tuple[Any, ...]], socket.socket]
 
-# What Python's codec of international names refuses, in other words in each release.
+# Names that Python's codec of international names refuses with a message of each release.
 NO_NAME = "it cannot be the name of a host"
 
 # Connections that may wait in the system.
@@ -141,7 +141,7 @@ class Question:
             self._outcome = socket.getaddrinfo(host, port, type=kind, flags=flags)
         except UnicodeError:
             self._outcome = socket.gaierror(socket.EAI_NONAME, NO_NAME)
-        except Exception as error:  # whatever it is, it ends the waits
+        except Exception as error:  # any exception must end the waits
             self._outcome = error
         with _lock:
             _asked.pop(self._lookup, None)
@@ -192,7 +192,7 @@ def start_thread(thread: threading.Thread) -> None:
 
 
 def _begin() -> None:
-    """In a forked child, too: the threads are its parent's, and one may have held the lock."""
+    """Reset after a fork, too: the threads are the parent's, and one may have held the lock."""
     global _lock, _asked
     # Reentrant, because a signal handler may ask while its own thread does.
     _lock = threading.RLock()
@@ -218,7 +218,7 @@ def bind_all(addresses: list[Any], port: int, make: Make) -> list[socket.socket]
                     raise
                 missing = error
             else:
-                if not port:  # one that is free on this address may be taken on the next
+                if not port:  # a free port of this address may be in use on the next
                     break
         if missing is not None and not sockets:
             raise missing

@@ -124,7 +124,7 @@ class ListeningPort(TcpPort):
         return listener
 
     def _newest(self) -> socket.socket | None:
-        """Return the last connection that was made, and close those before; None without any."""
+        """Return the latest connection, and close earlier ones; None without any."""
         newest, self._next = self._next, None
         while self._listener is not None:
             try:
@@ -144,7 +144,7 @@ class ListeningPort(TcpPort):
 
     def _preparing(self, connection: socket.socket, deadline: float) -> Steps[None]:
         self._greeting.begin()
-        self._is_asked = False  # what comes before the first request answers none
+        self._is_asked = False  # bytes before the first request answer no request
         return super()._preparing(connection, deadline)
 
     def _watch(self, descriptor: int) -> None:
@@ -154,7 +154,7 @@ class ListeningPort(TcpPort):
 
     def receive(self) -> list[bytes]:
         chunks = super().receive()
-        if not chunks:  # so the listener is ready
+        if not chunks:  # no bytes came, so the listener is ready
             self._next = self._newest()
             if self._next is not None:
                 text = "the device has connected again"

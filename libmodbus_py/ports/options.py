@@ -27,7 +27,7 @@ class Form(NamedTuple):
     """The form of an option in URLs and on the command line."""
 
     convert: Callable[[str], Any]  # or ValueError
-    wanted: str  # what the text must be, for errors
+    wanted: str  # the allowed texts, for errors
     placeholder: str  # for the value in --help; empty for a switch
 
     def option(self, default: Any = None, check: Check = lambda name, value: None) -> "Option":
@@ -189,7 +189,7 @@ def greeting_of(name: str, value: object) -> tuple[int, tuple[bytes, ...]]:
 
 
 def _security(name: str, value: object) -> None:
-    from ..security.security import GivenContext, Security  # and with it ssl, which takes long
+    from ..security.security import GivenContext, Security  # this imports ssl, which takes long
 
     if not isinstance(value, Security | GivenContext):
         raise TypeError(f"{name} must be Security, not {type(value).__name__}")

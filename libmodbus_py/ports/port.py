@@ -31,7 +31,7 @@ RECEIVED_BYTES = 16_384
 MAX_UNASKED_BYTES = 1 << 16
 """Bytes without an answer after which a connection counts as flooded."""
 
-# Seconds between two attempts to open a port that is gone.
+# Seconds between two attempts to open a missing port.
 REOPEN_AFTER = 1.0
 
 
@@ -40,7 +40,7 @@ class Silence:
 
     def __init__(self, seconds: float = 0.0, character: float = 0.0, turn: float = 0.0) -> None:
         self.seconds = seconds
-        self.character = character  # seconds that one byte takes
+        self.character = character  # seconds for one byte on the line
         self.over_at: float = 0.0  # from then on frames may be sent
         self._turn = turn  # seconds before and after each frame, for turning the line round
         self._turned_at = 0.0
@@ -161,13 +161,13 @@ class Outage:
         self._name = name
 
     def begin(self, error: ModbusError) -> None:
-        """Log that it is lost, or cannot be opened."""
+        """Log that the port is lost, or cannot be opened."""
         if not self.is_on:
             self.is_on = True
             self._log.warning("%s: %s; trying again", self._name, error)
 
     def end(self) -> None:
-        """Log that it is open again."""
+        """Log that the port is open again."""
         if self.is_on:
             self.is_on = False
             self._log.warning("%s: open again", self._name)

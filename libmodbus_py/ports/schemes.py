@@ -57,14 +57,14 @@ SECURITY_OPTIONS: Mapping[str, Option] = {
 class TransportRules(NamedTuple):
     """The properties of a transport."""
 
-    port_class: str  # its file and its name
+    port_class: str  # the file of the port, and its class
     options: Mapping[str, Option] = MappingProxyType({})  # of URLs, besides those of clients
     port: int = DEFAULT_PORT  # of a URL that names no port; 0 if the transport has no ports
     example: str = ""  # of a path, if endpoints are paths of this machine
     is_serial: bool = False
     is_datagram: bool = False  # each ADU is a datagram, without a connection
     is_secure: bool = False  # client and server show each other certificates
-    is_listening: bool = False  # the client waits there for its device, which connects
+    is_listening: bool = False  # the client listens, and its device connects
 
     @property
     def has_path(self) -> bool:

@@ -41,7 +41,7 @@ class SerialPort(Port):
     Source: modbus_new_rtu, modbus_rtu_set_serial_mode, modbus_rtu_set_rts; serial line, 2.5.1.1.
     """
 
-    # libmodbus 3.1.6..3.1.12 know these; any other they silently take for 9600.
+    # The rates that libmodbus 3.1.6..3.1.12 knows; it takes 9600 for any other, silently.
     baudrates: ClassVar[frozenset[int]] = frozenset((
         110, 300, 600, 1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400,
         460800, 500000, 576000, 921600, 1000000, 1152000, 1500000, 2500000, 3000000,
@@ -171,7 +171,7 @@ class SerialPort(Port):
 
     def _change_something(self) -> None:
         settings = termios.tcgetattr(self._guards[0])
-        settings[0] ^= termios.IGNBRK  # libmodbus clears this
+        settings[0] ^= termios.IGNBRK  # libmodbus clears this flag
         termios.tcsetattr(self._guards[0], termios.TCSANOW, settings)
 
     def _take_port(self) -> None:
@@ -226,7 +226,7 @@ class SerialPort(Port):
     def close(self) -> None:
         self._sending = iter(())
         self.resume_at = None
-        if self._process != os.getpid():  # which inherited it: the settings are its parent's
+        if self._process != os.getpid():  # a child: the settings are its parent's
             self.abandon()
             return
         try:
@@ -234,7 +234,7 @@ class SerialPort(Port):
                 self._switch.close()  # while the port is still open
         finally:
             self.descriptor: int = -1
-            lib.modbus_close(self.context)  # restores the settings, too
+            lib.modbus_close(self.context)  # modbus_close restores the settings, too
             self._release()
 
     def abandon(self) -> None:
@@ -270,7 +270,7 @@ class SerialPort(Port):
         return []
 
     def discard_input(self) -> None:
-        # modbus_flush would throw away output, too.
+        # modbus_flush would discard output, too.
         with contextlib.suppress(termios.error):
             termios.tcflush(self.descriptor, termios.TCIFLUSH)
 
@@ -360,7 +360,7 @@ class ReadOnlySerialPort(SerialPort):
         self.abandon()
 
     def abandon(self) -> None:
-        # libmodbus holds nothing here, and its context may be gone during garbage collection.
+        # libmodbus owns no descriptor here; its context may be freed during garbage collection.
         self.descriptor = -1
         self._release()
 
@@ -391,7 +391,7 @@ def set_odd_baudrate(descriptor: int, baudrate: int) -> None:
 
 
 def _baudrate_of(descriptor: int) -> int | None:
-    """Return the baud rate of a port as its driver has it; None if Linux does not tell it."""
+    """Return the baud rate of a port in its driver; None if Linux does not report it."""
     try:
         data = fcntl.ioctl(descriptor, TCGETS2, bytes(TERMIOS2.size))
     except OSError:

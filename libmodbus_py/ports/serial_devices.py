@@ -21,12 +21,12 @@ class SerialDevice:
     """A serial port, as the system describes it; empty where it says nothing."""
 
     path: str
-    stable_path: str = ""  # in /dev/serial/by-id, the same when ports change their numbers
+    stable_path: str = ""  # in /dev/serial/by-id, where names do not change with numbers
     driver: str = ""
     vendor: str = ""  # this and the next two are of a USB device, in words or as hexadecimal ids
     product: str = ""
     serial_number: str = ""
-    state: str = "not known"  # no port is opened for it, because that would move its lines
+    state: str = "not known"  # not found out, because opening the port would move its lines
 
 
 def serial_devices(root: str = "/") -> list[SerialDevice]:
@@ -110,7 +110,7 @@ class OpenDevice(NamedTuple):
     path: str
     process: int
     descriptor: int
-    program: str  # its name and its process, such as "minicom (77)"
+    program: str  # name and process, such as "minicom (77)"
 
 
 def open_devices(base: Path = Path("/")) -> tuple[list[OpenDevice], bool]:
@@ -121,12 +121,12 @@ def open_devices(base: Path = Path("/")) -> tuple[list[OpenDevice], bool]:
         program = f"{_text(process / 'comm') or 'a program'} ({process.name})"
         try:
             for link in (process / "fd").iterdir():
-                with contextlib.suppress(FileNotFoundError):  # it was closed meanwhile
+                with contextlib.suppress(FileNotFoundError):  # the descriptor was closed meanwhile
                     if (path := os.readlink(link)).startswith("/dev/"):
                         files.append(OpenDevice(path, int(process.name), int(link.name), program))
         except PermissionError:
             sees_all = False
-        except OSError:  # it has ended meanwhile
+        except OSError:  # the process has ended meanwhile
             continue
     return files, sees_all
 
@@ -138,7 +138,7 @@ def users_of(device: str) -> list[OpenDevice]:
 
 
 def _is_here(user: OpenDevice) -> bool:
-    """Return False for a pseudo-terminal of a container, which has others of the same names."""
+    """Return False for a pseudo-terminal of a container, where names may be as here."""
     with contextlib.suppress(OSError):
         here, theirs = os.stat(user.path), os.stat(f"/proc/{user.process}/fd/{user.descriptor}")
         return not user.path.startswith("/dev/pts/") or here.st_dev == theirs.st_dev

@@ -33,7 +33,7 @@ RESET = struct.pack("ii", 1, 0)
 # The size of the first receive; later ones are larger. Python needs no malloc for few bytes.
 FIRST_BYTES = 479
 
-# Datagrams taken in one turn.
+# Datagrams received in one turn.
 DATAGRAMS = 64
 
 
@@ -119,7 +119,7 @@ class SocketPort(Port):
         self._release()
 
     def _release(self) -> None:
-        """Forget the connection, and all that came over it."""
+        """Forget the connection, and all bytes received over it."""
         if self.descriptor >= 0:
             self.descriptor = -1
             self._socket.close()
@@ -182,7 +182,7 @@ class StreamPort(SocketPort):
         if not data:
             raise ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
         if len(data) == FIRST_BYTES:
-            with contextlib.suppress(OSError):  # of which the next call tells again
+            with contextlib.suppress(OSError):  # the next call reports the error again
                 data += self._socket.recv(RECEIVED_BYTES)
         return [data]
 
@@ -209,7 +209,7 @@ class StreamPort(SocketPort):
 
 
 class HostPort(SocketPort):
-    """A socket that is connected to one host and port, from any address of this machine or one."""
+    """A socket connected to one host and port, from a given source address or from any."""
 
     def __init__(self, host: str, port: int, source: str | None = None) -> None:
         if not isinstance(host, str):
@@ -310,14 +310,14 @@ class UdpPort(HostPort):
                     break
                 self._refusal = of_system(error).errno or errno.EIO
             else:
-                if datagram:  # an empty one says nothing
+                if datagram:  # an empty datagram is ignored
                     datagrams.append(datagram)
         if self._refusal:
             # The system tells it once, and before what was received earlier, which is worth
             # more: the news that the port is closed now comes with the next look.
             if not datagrams:
                 raise lost(OSError(self._refusal, os.strerror(self._refusal)))
-            self._socket.shutdown(socket.SHUT_RD)  # a waiting program is told at once
+            self._socket.shutdown(socket.SHUT_RD)  # wakes a program that waits for the socket
         return datagrams
 
     def send(self, adus: list[bytes], now: float) -> None:

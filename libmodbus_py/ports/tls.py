@@ -66,7 +66,7 @@ def security_of(endpoint: Endpoint, security: Given | None) -> Security | Given:
 class TlsPort(TcpPort):
     """A TLS connection, open once each side has accepted the other's certificate."""
 
-    _acceptance: Acceptance  # this and the next two are those of the tunnel
+    _acceptance: Acceptance  # this and the next two belong to the tunnel
     _check_at: float
     _owner: int  # the process
 
@@ -98,14 +98,14 @@ class TlsPort(TcpPort):
         self._tunnel = tunnel
         self._received: list[bytes] = []  # decrypted
         self._plain = bytearray()  # not encrypted yet
-        self._failure: ModbusConnectionError | None = None  # raised behind what was received
+        self._failure: ModbusConnectionError | None = None  # raised after the received bytes
         self._unasked = 0  # bytes behind the last answer: tickets and changes of keys are rare
         self._flights = 0  # how often this side has sent during the handshake
         self._has_answered = False
 
     def _preparing(self, connection: socket.socket, deadline: float) -> Steps[None]:
         yield from super()._preparing(connection, deadline)
-        session, self._session = self._session, None  # after a failure none is resumed (R-11)
+        session, self._session = self._session, None  # after a failure no session is resumed (R-11)
         self._acceptance = self._security.acceptance()
         tunnel = self._security.to_server(self.host, session)
         self._begin(None)
@@ -186,7 +186,7 @@ class TlsPort(TcpPort):
         # A connection that ends here, before a request, is made again, as if the server had closed
         # it: the server may have a new certificate by now.
         self._check_certificate(time.monotonic())
-        # Tickets are none; there may be an answer behind them, or the end.
+        # Tickets contain no data; an answer, or the end, may follow them.
         while not self._received and self._failure is None and self._has_bytes():
             self._read()
         return bool(self._received) or self._failure is not None

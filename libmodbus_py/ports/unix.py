@@ -73,7 +73,7 @@ class UnixListener:
                 listener.bind(self._path)
                 self._identity = _identity(self._path)
                 listener.listen(BACKLOG)
-                os.chmod(self._path, 0o660)  # who connects needs the permission to write
+                os.chmod(self._path, 0o660)  # connecting needs the permission to write
         except BaseException:
             self.close()
             listener.close()
@@ -109,7 +109,7 @@ class UnixListener:
 
 
 def _identity(path: str) -> tuple[int, int, int]:
-    """Return what differs from a later file at the path, which may have the same inode."""
+    """Return what differs from a later file at the path, whose inode may be the same."""
     status = os.lstat(path)
     return status.st_dev, status.st_ino, status.st_mtime_ns
 

@@ -31,7 +31,7 @@ def shown(number: object) -> str:
 
 
 def integer(name: str | Path, value: object, low: int, high: int) -> int:
-    """Return an integer of any type in low..high as an int; True and False are none here."""
+    """Return an integer of any type in low..high as an int; True and False are refused."""
     if isinstance(value, bool):
         raise WrongType(name, f"must be an integer in {low}..{high}, not {value!r}")
     try:
@@ -45,7 +45,7 @@ def integer(name: str | Path, value: object, low: int, high: int) -> int:
 
 
 def number(name: str | Path, value: object, low: float, high: float) -> int | float:
-    """Return an int or float in low..high as it is; nan, True and False are none here."""
+    """Return an int or float in low..high unchanged; nan, True and False are refused."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise WrongType(name, f"must be a number, not {type(value).__name__}")
     if not low <= value <= high:
@@ -115,7 +115,7 @@ NOT_AT_ONCE = 0x20 | 0x80 | 0x100 | 0x200
 
 
 def checked_callback(name: str | Path, callback: Given) -> Given:
-    """Return a function of a user whose body runs when it is called; raise a TypeError if not."""
+    """Return a user's function; raise a TypeError unless a call runs its body at once."""
     if not callable(callback):
         raise WrongType(name, f"must be a function, not {type(callback).__name__}")
     function: Any = callback

@@ -32,7 +32,7 @@ MAX_SENT = 64
 
 class Echo:
     """
-    Takes the echo of what was sent out of what is received.
+    Removes the echo of sent bytes from received bytes.
 
     Args:
         setting: True if all that is sent comes back, False if not, None to find out.
@@ -54,14 +54,14 @@ class Echo:
         self.forget()
 
     def forget(self) -> bytes:
-        """Expect nothing back of what was sent; return what is held back, which is discarded."""
+        """Expect no echo of the sent bytes; return the delayed bytes, which are discarded."""
         self._awaited: deque[bytes] = deque(maxlen=MAX_SENT)
         self._undecided: deque[bytes] = deque(maxlen=MAX_SENT)  # sent before a telling frame
         data, self._held = self._held, b""
         return data
 
     def confirm(self) -> None:
-        """Note that there is an echo, and that of all that was sent has come."""
+        """Note that there is an echo, and that all sent bytes were returned."""
         self.is_there = self.has_returned = True
         self.forget()
 
@@ -103,7 +103,7 @@ class Echo:
         return rest if self._held else rest + data
 
     def release(self) -> bytes:
-        """Return what is held back, because silence shows that it is no echo."""
+        """Return the delayed bytes, because silence shows that they are no echo."""
         data = self._held
         if data:
             self._miss()

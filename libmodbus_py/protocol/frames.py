@@ -44,7 +44,7 @@ _new_frame: Callable[[tuple[int, bytes, int]], Frame] = partial(tuple.__new__, F
 
 class OverheardResponse(Frame):
     """
-    A response of another unit on the line, which a server hears.
+    A response of another unit on the line, which a server receives.
 
     `scan` and `scan_silence` return it among the frames; `feed` and `silence` do not.
     """
@@ -99,7 +99,7 @@ class Framer(ABC):
 
     def feed(self, data: bytes) -> list[Frame]:
         """
-        Take received bytes, and return the frames that they complete.
+        Receive bytes, and return the frames that they complete.
 
         Raises:
             FrameError: bytes are not a frame, and there is no frame to return before that.
@@ -141,7 +141,7 @@ class Framer(ABC):
     def _scan(self) -> None: ...
 
     def _scan_silence(self) -> None:  # noqa: B027
-        """Take silence for the end of a frame; on TCP it is none."""
+        """Take silence for the end of a frame; on TCP silence ends no frame."""
 
     def _report(self, why: str, data: bytes | bytearray, *, overrun: bool = False) -> None:
         error = FrameError(why, received=bytes(data))
@@ -317,7 +317,7 @@ class UdpFramer(TcpFramer):
 
 
 def _is_whole_response(data: bytes | bytearray) -> bool:
-    """Return True for a response to which one byte is missing by its header, and none by itself."""
+    """Return True for a response that lacks one byte by its header, and is complete by its data."""
     count = len(data) - FUNCTION
     if count < 2 or data[2 : FUNCTION - 1] != (count + 2).to_bytes(4):
         return False

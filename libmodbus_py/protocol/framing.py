@@ -117,7 +117,7 @@ class RtuFramer(Framer):
 
     def _scan_silence(self) -> None:
         self._cut(bytes(self.rest), is_silent=True)
-        if not self.rest:  # else it belongs to the damage before
+        if not self.rest:  # otherwise the byte belongs to the damage before
             self._in_run = False
 
     def _cut(self, data: bytes, *, is_silent: bool) -> None:
@@ -317,5 +317,5 @@ def pdu_of(framing: Framing, adu: bytes) -> bytes:
 
 
 def transaction_of(framing: Framing, adu: bytes) -> int | None:
-    """Return the transaction id of such a frame, 0..65535; None where frames have none."""
+    """Return the transaction id of a frame, 0..65535; None for frames without ids."""
     return int.from_bytes(adu[:2]) if framing in ("tcp", "udp") else None

@@ -232,7 +232,7 @@ def _refused(function: Callable[..., object], keywords: Iterable[str]) -> TypeEr
     several = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
     names = [name for name, kind in kinds.items() if name != "self" and kind not in several]
     wrong = [name for name in keywords if name not in names]
-    if Parameter.VAR_KEYWORD in kinds.values():  # which has its own check
+    if Parameter.VAR_KEYWORD in kinds.values():  # functions with **options check names themselves
         close = ((name, close_option(name, names)) for name in wrong)
         return next((TypeError(f"there is no {name!r}{end}") for name, end in close if end), None)
     return next((unknown_option(name, names) for name in wrong), None)

@@ -29,7 +29,7 @@ CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 
 def plain(value: Any) -> Any:
     """
-    Return a value, or a request, made of what JSON has.
+    Return a value, or a request, made of types that JSON has.
 
     Bytes are hexadecimal text, nan and infinities None; requests and named tuples are objects.
     """
@@ -154,7 +154,7 @@ def decimal_of(text: str) -> float:
         value = float(text)
     except ValueError:
         raise ValueError(f"value must be a number, not {text!r}") from None
-    if math.isinf(value) and "inf" not in text.lower():  # such as 1e400, which is not meant so
+    if math.isinf(value) and "inf" not in text.lower():  # 1e400 is not read as infinity
         raise ValueError(f"value is too large: {reprlib.repr(text)}")
     return value
 

@@ -186,7 +186,7 @@ class RtuCutter:
     # --- where a frame may begin ------------------------------------------------------------
 
     def _front(self, data: bytes, at: int, is_silent: bool) -> tuple[int, Kind]:
-        """Return the end and the kind of the frame that begins here, or why there is none."""
+        """Return the end and the kind of the frame at this position, or why there is none."""
         if self._is_server and not self._is_fresh:
             return UNFINISHED, "damage"
         asks = self._end(self._requests, data, at, is_silent)
@@ -212,7 +212,7 @@ class RtuCutter:
         return UNFINISHED if is_open else NO_FRAME, "damage"
 
     def _burst(self, data: bytes, at: int, is_silent: bool, is_open: bool) -> tuple[int, Kind]:
-        """Return what the bytes from here to a silence are as a whole; 0 if that tells nothing."""
+        """Return the kind of all bytes up to a silence, taken as one frame; 0 if unknown."""
         is_high = data[at + 1 : at + 2] >= b"\x80"
         if not is_silent:
             may_wait = is_high or (self._is_server and max(self._later, default=0) <= at)
@@ -225,7 +225,7 @@ class RtuCutter:
         return self._start_in_noise(data, at) if self._is_server else 0, "damage"
 
     def _start_in_noise(self, data: bytes, at: int) -> int:
-        """Return where a request begins that has noise before it, and perhaps behind; else 0."""
+        """Return the start of a request with noise before it, and perhaps after it; else 0."""
         last = len(data) - MIN_ADU
         for place in (at, *self._later):
             for start in range(max(place, at + 1), min(place + MAX_NOISE, last) + 1):
@@ -242,7 +242,7 @@ class RtuCutter:
         return end >= len(data) - MAX_NOISE and self._requests.fits == 1
 
     def _is_within(self, data: bytes, at: int, start: int) -> bool:
-        """Return True if what begins like a request may be data of another unit's frame."""
+        """Return True if bytes like a request may be data of another unit's frame."""
         size = len(data)
         behind = range(size - MAX_NOISE, size + 1)
         if any(is_one_adu(data[first:end]) for first in range(at, start) for end in behind):

@@ -90,7 +90,7 @@ class FrameScanner:
 
     @property
     def fits(self) -> int:
-        """The number of places where the last frame that `at` found can end, by its CRC."""
+        """The number of places where the last frame of `at` can end, by its CRC."""
         count: int = self._scan.fits
         return count
 

@@ -143,7 +143,7 @@ def pack_time(form: TimeForm, name: str | Path, value: Any) -> bytes:
 
 
 def unpack_time(form: TimeForm, data: bytes) -> datetime:
-    """Return the time in some bytes; raise a ValueError if they hold none."""
+    """Return the time in some bytes; raise a ValueError if they contain none."""
     try:
         return form.unpack(data)
     except (ValueError, OverflowError):

@@ -192,14 +192,14 @@ class ValueType:
         return list(struct.unpack(f">{self.registers}H", data))
 
     def _reordered(self, data: bytes) -> bytes:
-        """Return bytes in this order, or back: each order undoes itself."""
+        """Return bytes in this order, or back: applied twice, each order changes nothing."""
         if self.order == "ABCD":
             return data
         if self.order in WIDE_ORDERS:
             return bytes(data[ord(letter) - ord("A")] for letter in self.order)
         words, swap = ORDERS[self.order]
         if words := words and not self.is_text:
-            data = data[::-1]  # which swaps the bytes of each, too
+            data = data[::-1]  # reversing swaps the bytes of each register, too
         if words == swap:
             return data
         result = bytearray(data)

@@ -33,7 +33,7 @@ MEANINGS = {
 
 
 def in_words(error: ssl.SSLError, *, guess: bool = False) -> str:
-    """Return an error of OpenSSL as text; `guess`: for a client's, the cause at its server."""
+    """Return an error of OpenSSL as text; `guess`: the likely cause, for an error of a client."""
     if isinstance(error, ssl.SSLCertVerificationError):
         return str(error.verify_message)
     reason = error.reason or str(error)
@@ -121,7 +121,7 @@ def end_of(certificate: bytes) -> float | None:
 
 
 def time_in(fields: Any, name: str) -> datetime | None:
-    """Return a time of a certificate or revocation list, in UTC; None if it has none."""
+    """Return a time in a certificate or revocation list, in UTC; None if the field is missing."""
     if hasattr(fields, f"{name}_utc"):  # since cryptography 42, where the one without a zone warns
         aware: datetime | None = getattr(fields, f"{name}_utc")
         return aware

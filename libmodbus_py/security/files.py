@@ -248,7 +248,7 @@ class LoadedFiles:
         context.verify_flags |= ssl.VerifyFlags.VERIFY_CRL_CHECK_CHAIN
         try:
             context.load_verify_locations(cafile=os.fspath(crl.path))
-        except ssl.SSLError:  # it has more than the lists that were found
+        except ssl.SSLError:  # the file contains more than the lists found in it
             raise ValueError(f"{crl}: cannot be read") from None
 
 

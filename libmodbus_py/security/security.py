@@ -226,7 +226,7 @@ class GivenContext:
         return Acceptance(lambda: None)
 
     def warn_of_end(self) -> None:
-        """Do nothing, because a context does not tell which certificate it shows."""
+        """Do nothing, because the certificate of an SSLContext cannot be read."""
 
 
 # --- reloading ------------------------------------------------------------------------------
@@ -252,7 +252,7 @@ class _Reloadable(Protocol):
 
 
 class RenewedValue(Generic[T]):
-    """A value that `read` makes of files, as of the last time that all of them were good."""
+    """A value that `read` makes of files; it stays the former one while a file is wrong."""
 
     def __init__(self, read: Callable[[], T]) -> None:
         self._read = read

@@ -277,7 +277,7 @@ class AuditFile:
         """
         self._check_path()
         line = event.json().encode() + b"\n"
-        if self._is_cut:  # an earlier line was: this one must not be taken for its rest
+        if self._is_cut:  # the last line was cut off: this line must not continue it
             line = b"\n" + line
         size = os.write(self._descriptor, line)
         self._is_cut = size < len(line)
@@ -311,7 +311,7 @@ class AuditFile:
                 raise self._error(errno.EPIPE, "this pipe has no reader")
 
     def _check_path(self) -> os.stat_result:
-        """Return what has the path, which is the open file; else raise OSError or ValueError."""
+        """Return the status of the path, if it is the open file; else OSError or ValueError."""
         if self._failure is not None:
             raise self._failure.with_traceback(None)
         status = os.stat(self._path)

@@ -23,7 +23,7 @@ class Fragment(NamedTuple):
 
     wait: float
     data: bytes
-    is_last: bool = False  # the connection is closed behind it
+    is_last: bool = False  # the connection is closed after this fragment
     traced: tuple[tuple[bytes, Frame | None], ...] = ()  # None for bytes that are no frame
 
 
@@ -44,7 +44,7 @@ class ServerFault(Protocol):
         ...
 
     def fragments(self, answer: Frame, framer: Framer) -> list[Fragment]:
-        """Return what is sent in place of an answer."""
+        """Return the bytes to be sent instead of an answer."""
         ...
 
 
@@ -129,7 +129,7 @@ class FaultState:
     fault: ServerFault
     is_given: bool  # True if it was passed to the server, and not switched on later
     is_on: bool = True
-    number: int = field(default_factory=lambda: next(_numbers))  # greater than of earlier ones
+    number: int = field(default_factory=lambda: next(_numbers))  # later faults have greater ones
 
 
 class FaultSwitch:
@@ -177,7 +177,7 @@ class FaultSwitch:
 
     def turn(self, state: FaultState, *, is_on: bool) -> None:
         """
-        Switch one fault of `states` on or off; it stays in its place among them.
+        Switch one fault of `states` on or off; it keeps its position.
 
         Raises:
             ValueError: the server does not have this fault any more.

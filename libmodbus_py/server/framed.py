@@ -54,7 +54,7 @@ class SessionSettings:
         return Echo(setting)
 
     def note_echo(self) -> None:
-        """Count a connection that was found to return what is sent; log the first one."""
+        """Count a connection with an echo; log the first one."""
         self.statistics.echoes += 1
         if not self._was_echo_logged:
             self._was_echo_logged = True
@@ -95,7 +95,7 @@ class FrameServer(ABC):
         self._is_echo_ruled_out = False  # True once an answer had no echo
         # A request of which one byte of the answer was sent.
         self._open_request: Frame | None = None
-        self._unanswered: Collection[object] = ()  # requests whose answers are still to come
+        self._unanswered: Collection[object] = ()  # requests that are not answered yet
         self._has_ended = False
 
     @property
@@ -140,7 +140,7 @@ class FrameServer(ABC):
             self._pending_answer = None
         if not (self._frames or self.framer.in_step):
             self._unsearched = b""
-            if not requests:  # else the silence counts first
+            if not requests:  # else the silence is counted first
                 raise FrameError("stream out of step")
         is_unfinished = self.framer.pending or (self._echo is not None and self._echo.is_holding)
         if self._is_behind:
@@ -158,7 +158,7 @@ class FrameServer(ABC):
             if isinstance(frame, FrameError):
                 self.note_damage(frame)
                 continue
-            self._pending_answer = None  # its client has given up waiting for it
+            self._pending_answer = None  # the client no longer waits for this answer
             if self._may_be_echo(frame):
                 self._frames = [*frames[at + 1 :], *self._frames]
                 self._suspect = frame
@@ -200,7 +200,7 @@ class FrameServer(ABC):
         self.statistics.bad_frames += 1
 
     def note_overheard(self, answer: OverheardResponse) -> None:  # noqa: B027  # gateways count no units
-        """Note what another unit on the line answers."""
+        """Note a frame of another unit on the line."""
 
     def _search(self) -> None:
         if self._unsearched or not self._is_quiet:
@@ -210,7 +210,7 @@ class FrameServer(ABC):
                 self._frames += self.framer.scan_silence()
                 rest = self.framer.end()  # which does not go on in another datagram
                 is_damaged = bool(self._frames) and isinstance(self._frames[-1], FrameError)
-                if rest and not is_damaged:  # else it belongs to that damage
+                if rest and not is_damaged:  # otherwise the bytes belong to that damage
                     self._frames.append(FrameError("an unfinished frame", received=rest))
         else:
             self._is_quiet = False

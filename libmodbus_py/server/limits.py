@@ -149,7 +149,7 @@ def counted_host(host: str) -> str:
 
 
 def host_of(address: str) -> str:
-    """Return what a client counts for; `address`: as in `Channel`."""
+    """Return the name under which a client is counted; `address`: as in `Channel`."""
     return counted_host(host_of_peer(address))
 
 

@@ -71,7 +71,7 @@ class StateFile:
             self._users += 1
 
     def __exit__(self, *_: object) -> None:
-        """Write the file for the last time, and let others use it, at the end of the last block."""
+        """Write the file for the last time, and unlock it, at the end of the last block."""
         if self._owner != os.getpid():
             return
         with self._users_lock:

@@ -116,7 +116,7 @@ class Handshakes:
             session.check_certificate()
 
     def line_up(self, session: TlsSession) -> None:
-        """Let a session take a step when its turn comes."""
+        """Let a session take a step in its turn."""
         self._line.setdefault(session.host, {})[session] = None
         session.follow()
         if self._next_step is None:

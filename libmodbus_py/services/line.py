@@ -171,7 +171,7 @@ class SharedLine(ABC, Generic[Job]):
         return self.sender
 
     def give_up(self, job: Job, now: float) -> None:
-        """Conclude a trial that made way for others."""
+        """Conclude a trial that was stopped for other requests."""
         self.conclude(job, ModbusTimeoutError("no answer while others waited"), now)
 
     def expire(self, job: Job, now: float) -> None:

@@ -66,7 +66,7 @@ async def finish(call: Coroutine[Any, Any, Any], seconds: float | None = None) -
 
 
 class Pauses:
-    """The seconds between tries of what fails: each pause is twice as long as the one before."""
+    """The seconds between attempts: each pause is twice as long as the one before."""
 
     def __init__(self, longest: float = LONGEST_PAUSE_S) -> None:
         self._longest = longest

@@ -123,7 +123,7 @@ def make(
 
 
 def check_days(days: float) -> None:
-    """Raise ValueError for a validity that no certificate or list should have."""
+    """Raise ValueError for a number of days that is too small or too large."""
     if not 0 < days <= MAX_DAYS:
         raise ValueError(f"days must be in 1..{MAX_DAYS}, not {days:g}")
 

@@ -112,7 +112,7 @@ def test_options_and_values_of_this_package_differ_from_those_of_others() -> Non
 
 
 @each_case("tool", ["mbpoll", "modpoll"])
-def test_every_option_of_the_page_about_other_programs_has_one(tool: str) -> None:
+def test_each_option_in_the_table_of_another_program_is_an_option_here(tool: str) -> None:
     theirs = {text.split()[0].strip("`,") for text, _ in rows(tool)}
     ours = {"-b", "-u", "-v", "-m"}  # which mean something here, too
     assert {their for their in theirs if their.startswith("-")} - ours <= set(OPTIONS)

@@ -1,4 +1,4 @@
-"""The command certificates: what lies in the directory afterwards."""
+"""The command certificates, and the files in its directory afterwards."""
 
 import shlex
 import ssl
@@ -29,7 +29,7 @@ def role_in(path: Path) -> str | None:
     return role_of(ssl.PEM_cert_to_DER_cert(path.read_text()))
 
 
-def test_it_makes_an_authority_a_server_and_clients(tmp_path: Path) -> None:
+def test_the_command_makes_an_authority_a_server_and_clients(tmp_path: Path) -> None:
     directory = tmp_path / "new" / "with a space"
     result = make(directory)
     assert (result.code, result.err) == (0, "")
@@ -48,7 +48,7 @@ def test_it_makes_an_authority_a_server_and_clients(tmp_path: Path) -> None:
         load(directory / f"{name}.pem").verify_directly_issued_by(ca)
 
 
-def test_options_set_hosts_days_and_roles(tmp_path: Path) -> None:
+def test_options_set_hosts_and_days_and_roles(tmp_path: Path) -> None:
     result = make(
         tmp_path,
         *("--host", "plc.example", "--host", "192.0.2.7", "--days", "7"),
@@ -67,7 +67,7 @@ def test_options_set_hosts_days_and_roles(tmp_path: Path) -> None:
     assert timedelta(days=6) < lifetime < timedelta(days=7)
 
 
-def test_without_cryptography_it_says_what_to_install(tmp_path, monkeypatch) -> None:
+def test_without_cryptography_the_command_says_what_to_install(tmp_path, monkeypatch) -> None:
     missing = [name for name in sys.modules if name.startswith("libmodbus_py.tools.certificates")]
     for name in missing:
         monkeypatch.delitem(sys.modules, name)
@@ -78,7 +78,7 @@ def test_without_cryptography_it_says_what_to_install(tmp_path, monkeypatch) -> 
     assert how_to_add("security") in result.err
 
 
-def test_the_commands_it_prints_work(tmp_path: Path) -> None:
+def test_the_printed_commands_work(tmp_path: Path) -> None:
     serve, read = (shlex.split(line)[1:] for line in make(tmp_path / "a b").out.splitlines()[-2:])
     serve[1] = "tls://127.0.0.1:0"
     with serving(*serve) as (_, read[1]):
@@ -94,7 +94,7 @@ def names_in(path: Path) -> list[str]:
     return [str(name.value) for name in names]
 
 
-def test_machines_have_certificates_of_one_authority(tmp_path: Path) -> None:
+def test_certificates_for_machines_come_from_one_authority(tmp_path: Path) -> None:
     machines = ("n1.example", "192.0.2.7", "::1", LONG)
     assert make(tmp_path, *machines[:2]).out.splitlines() == [
         str(tmp_path / name) for name in machines[:2]
@@ -205,13 +205,13 @@ def test_a_renewed_certificate_has_all_but_its_times_and_number(tmp_path: Path) 
     assert {path: path.read_bytes() for path in keys} == keys
 
 
-def test_revoked_ones_are_refused_and_no_others(tmp_path: Path) -> None:
-    """By name, and by a serial number as the audit trail has it, of a certificate that is gone."""
+def test_revoked_certificates_are_refused_and_others_are_not(tmp_path: Path) -> None:
+    """By name, and by the serial number in an audit trail, of a deleted certificate."""
     make(tmp_path)
     serial = f"{load(tmp_path / 'operator.pem').serial_number:x}"
     result = make(tmp_path, "--revoke", "viewer", "--revoke", serial)
     assert result.out.splitlines()[1:] == [f"{serial}: revoked", str(tmp_path / "crl.pem")]
-    assert make(tmp_path, "--crl", "--days", "3").code == 0  # what was revoked stays so
+    assert make(tmp_path, "--crl", "--days", "3").code == 0  # revoked certificates stay revoked
     for name in ("viewer", "operator"):
         assert "certificate revoked" in verify(tmp_path, name)
     for name in ("server", "engineer", "ca"):
@@ -225,7 +225,7 @@ def test_revoked_ones_are_refused_and_no_others(tmp_path: Path) -> None:
     assert load(tmp_path / "viewer.pem") == before
 
 
-def test_machines_get_renewed_authorities_and_lists(tmp_path: Path) -> None:
+def test_machines_get_renewed_authorities_and_revocation_lists(tmp_path: Path) -> None:
     make(tmp_path, "n1", "n2")
     make(tmp_path, "--revoke", "n2")
     make(tmp_path, "ca", "--renew")
@@ -248,7 +248,7 @@ def test_machines_get_renewed_authorities_and_lists(tmp_path: Path) -> None:
         (("server", "--list"), "--list takes neither MACHINE"),
     ],
 )
-def test_wrong_words_change_no_file(tmp_path: Path, words: tuple[str, ...], reason: str) -> None:
+def test_wrong_words_in_options_change_no_file(tmp_path: Path, words: tuple[str, ...], reason: str):
     if not (tmp_path / "ca.pem").exists():
         make(tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
@@ -270,7 +270,7 @@ def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
     assert "is not signed by" in make(tmp_path, "--list").err
 
 
-def test_a_token_is_new_and_its_file_is_of_its_owner(tmp_path: Path) -> None:
+def test_a_token_is_new_and_only_its_owner_can_read_the_file(tmp_path: Path) -> None:
     path = tmp_path / "page.token"
     assert (run("token", path).code, run("token", path).code) == (0, 1)
     assert path.stat().st_mode & 0o777 == 0o600

@@ -71,7 +71,7 @@ def test_zsh_runs_the_script(place: Path) -> None:
     assert result.stdout.strip().startswith("_python_argcomplete")
 
 
-def test_without_argcomplete_it_says_what_to_install() -> None:
+def test_without_argcomplete_the_command_says_what_to_install() -> None:
     program = (
         "import sys; sys.modules['argcomplete'] = None\n"
         "from libmodbus_py.cli.main import main; sys.exit(main(['completion', 'bash']))"
@@ -139,7 +139,7 @@ def test_bash_gets_arguments(place: Path, line: str, words: list[str]) -> None:
     assert sorted({word.strip() for word in answer.split("\013")} - {"--help", ""}) == words
 
 
-def test_the_map_may_stand_behind_the_name(place: Path) -> None:
+def test_names_of_points_are_completed_if_the_map_is_typed_after_them(place: Path) -> None:
     for line in ("read h vol --map meter.csv", "read h vol --map=meter.csv -u 3"):
         point = str(len("libmodbus-py read h vol"))
         answer = complete(f"libmodbus-py {line}", place, COMP_POINT=point)

@@ -36,7 +36,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "number", "code"), CASES)
-def test_a_signal_ends_all(tmp_path: Path, device: str, name: str, number: int, code: int) -> None:
+def test_a_signal_ends_a_command(tmp_path: Path, device: str, name: str, number: int, code: int):
     (tmp_path / "fleet.toml").write_text(FLEET.format(url=device))
     arguments = [command.format(url=device, folder=tmp_path) for command in COMMANDS[name][0]]
     with subprocess.Popen(
@@ -59,7 +59,7 @@ def test_a_signal_ends_all(tmp_path: Path, device: str, name: str, number: int, 
 
 
 @pytest.mark.parametrize("name", ["poll", "read"])
-def test_a_reader_that_goes_away_ends_it(tmp_path: Path, device: str, name: str) -> None:
+def test_a_closed_pipe_ends_the_command(tmp_path: Path, device: str, name: str) -> None:
     (tmp_path / "fleet.toml").write_text(FLEET.format(url=device))
     arguments = [command.format(url=device, folder=tmp_path) for command in COMMANDS[name][0]]
     program = " ".join(f"'{word}'" for word in [*PROGRAM, *arguments])
@@ -97,7 +97,7 @@ def test_a_serial_port_gets_its_settings_back(number: int) -> None:
         ("map check meter --device URL", 0),
     ],
 )
-def test_ctrl_c_while_an_answer_is_awaited(words: str, count: int) -> None:
+def test_ctrl_c_while_waiting_for_an_answer_ends_the_command(words: str, count: int) -> None:
     """Nothing is said, whether it is the first answer, or that behind a write."""
     requests: list[bytes] = []
 
@@ -174,14 +174,14 @@ def without_styles(text: str) -> str:
         ("read", "127.0.0.1:1", "hr", "0"),  # by the system
     ],
 )
-def test_an_error_begins_in_red(words: tuple[str, ...]) -> None:
+def test_an_error_begins_with_red(words: tuple[str, ...]) -> None:
     text = shown_on_terminal(*words)
     assert text.startswith("\x1b[1;31mlibmodbus-py:\x1b[0m ")
     assert without_styles(text) == run(*words).err
 
 
 @each_case("environment", [{"NO_COLOR": "1"}, {"TERM": "dumb"}])
-def test_colour_is_left_out_where_it_is_not_wanted(environment: dict[str, str]) -> None:
+def test_colours_are_left_out_where_they_are_not_wanted(environment: dict[str, str]) -> None:
     assert "\x1b" not in shown_on_terminal("read", "--nonsense", **environment)
 
 

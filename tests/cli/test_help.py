@@ -35,7 +35,7 @@ def test_help_is_the_golden_file_and_fits(words: tuple[str, ...], golden: Golden
     golden(f"help_{name}.txt", result.out)
     if "--help-all" in result.out:
         golden(f"help-all_{name}.txt", whole.out)
-    else:  # there are no rare options
+    else:  # the command has no rare options
         assert result.out == whole.out
 
 

@@ -52,7 +52,7 @@ def test_messages_of_a_level_and_above_are_json_objects(level, count, capsys) ->
         ("gateway tcp://127.0.0.1:0", 2),
     ],
 )
-def test_each_line_is_an_object_whoever_prints_it(command, code, device: str, tmp_path) -> None:
+def test_each_line_of_the_log_is_an_object(command, code, device: str, tmp_path) -> None:
     folder = tmp_path / "Kälte"
     folder.mkdir()
     (folder / "fleet.toml").write_text(FLEET_OF_ONE.format(url=device))

@@ -49,7 +49,7 @@ def test_a_command_that_fails_leaves_no_empty_file(words: str, tmp_path: Path) -
 
 
 @each_case("option", ["--csv", "--json"])
-def test_output_goes_to_a_new_file(url: str, tmp_path: Path, option: str) -> None:
+def test_output_goes_into_a_new_file(url: str, tmp_path: Path, option: str) -> None:
     path = tmp_path / f"log{option.replace('--', '.')}"
     result = run("read", url, option, path, "hr", 0)
     assert result == (0, "", "")
@@ -68,7 +68,7 @@ def test_output_goes_to_a_new_file(url: str, tmp_path: Path, option: str) -> Non
 
 def test_csv_continues_a_file_of_the_same_columns(url: str, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    path.touch()  # an empty file has no other columns
+    path.touch()  # an empty file has no header with other columns
     words = ("read", url, "hr", 0, 2)
     for _ in range(2):
         assert run(*words, "--csv", path) == (0, "", "")
@@ -80,7 +80,7 @@ def test_csv_continues_a_file_of_the_same_columns(url: str, tmp_path: Path) -> N
     assert [row.count(",") for row in path.read_text().splitlines()] == [3, 1, 3, 3]
 
 
-def test_csv_refuses_what_it_cannot_go_on_with(url: str, tmp_path: Path) -> None:
+def test_csv_refuses_a_file_with_other_columns(url: str, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("time,hr 0,error\n")
     both = "log.csv has the columns 'time,hr 0,error', and not 'time,hr 0,hr 1,error': name another"
@@ -92,7 +92,7 @@ def test_csv_refuses_what_it_cannot_go_on_with(url: str, tmp_path: Path) -> None
     assert "exists" in run("read", url, "hr", 0, "--csv", tmp_path / "fifo.csv").err
 
 
-def test_rows_that_a_full_disk_does_not_take_cost_no_earlier_ones(url: str, tmp_path: Path) -> None:
+def test_rows_beyond_a_full_disk_do_not_spoil_earlier_rows(url: str, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     before = "time,hr 0,error\n" + "2026-01-01T00:00:00Z,1,\n" * 3
     path.write_text(before)
@@ -103,14 +103,14 @@ def test_rows_that_a_full_disk_does_not_take_cost_no_earlier_ones(url: str, tmp_
 
 
 @each_case("option", ["--csv", "--json"])
-def test_words_behind_the_option_are_no_files(url: str, option: str) -> None:
+def test_arguments_after_the_option_are_not_taken_for_files(url: str, option: str) -> None:
     assert run("read", option, url, "hr", 0).out
     assert run("read", url, option, "hr", 0).out
     assert run("read", url, "hr", 0, option).out
 
 
 @each_case("form", ["--csv", "--json"])
-def test_a_full_disk_is_that_of_the_file(url: str, form: str, tmp_path: Path) -> None:
+def test_an_error_about_a_full_disk_names_the_file(url: str, form: str, tmp_path: Path) -> None:
     path = tmp_path / f"log{form.replace('--', '.')}"
     with small_files():
         result = run("read", url, "hr", 0, 9, "--watch", "0.01", form, path)
@@ -131,7 +131,7 @@ def test_a_map_that_does_not_fit_on_the_disk_leaves_no_file(tmp_path: Path) -> N
     assert not path.exists()
 
 
-def test_a_terminal_shows_a_watch_that_a_file_gets(url: str, tmp_path: Path) -> None:
+def test_a_terminal_shows_a_watch_that_is_written_to_a_file(url: str, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     words = ("read", url, "hr", 0, "--watch", "0.02", "--count", "3", "--csv", path)
     with on_terminal(*words, columns=200) as terminal:
@@ -142,7 +142,7 @@ def test_a_terminal_shows_a_watch_that_a_file_gets(url: str, tmp_path: Path) -> 
     assert path.read_text().count("\n") == 4
 
 
-def test_errors_of_such_a_watch_are_seen(device: str, tmp_path: Path) -> None:
+def test_a_terminal_shows_failures_of_a_watch_of_a_file(device: str, tmp_path: Path) -> None:
     path = tmp_path / "log.json"
     words = ("read", "127.0.0.1:1", "hr", 0, "--watch", "0.02", "--count", "2", "--json", path)
     with on_terminal(*words, columns=200) as terminal:
@@ -178,7 +178,7 @@ PRINTING = [
 
 
 @each_case("words", PRINTING)
-def test_an_output_that_is_full_or_is_not_read(url: str, words: str) -> None:
+def test_an_output_that_is_full_or_closed_ends_the_command(url: str, words: str) -> None:
     typed = words.replace("URL", url).split()
     with open("/dev/full", "w") as full:
         result = run(*typed, out=full)

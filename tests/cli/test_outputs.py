@@ -117,7 +117,7 @@ def url(tmp_path: Path) -> Iterator[str]:
 
 
 def stable(text: str) -> str:
-    """Replace what is not the same in each run."""
+    """Replace the parts that differ in each run."""
     text = re.sub(r"127\.0\.0\.1:[0-9]+", "127.0.0.1:PORT", text)
     text = re.sub(r"20\d\d-\d\d-\d\dT[\d:]{8}\.\d{3}Z|[\d:]{8}\.\d{3}(?= [<>] )", "TIME", text)
     text = re.sub(r" *\b[0-9.]+ (min|s|ms)\b(?! of)", " DURATION", text)
@@ -155,7 +155,7 @@ def lines_of(command: str, url: str, folder: Path) -> list[str]:
         ("gateway", ["tcp://127.0.0.1:0", "--to", "7=URL"]),
     ],
 )
-def test_a_server_announces_itself(name, arguments, url: str, tmp_path, golden: Golden) -> None:
+def test_a_server_prints_its_url(name, arguments, url: str, tmp_path, golden: Golden) -> None:
     device = tmp_path / "device.toml"
     device.write_text("".join(f"[[unit]]\nid = {unit}\n" for unit in (7, 8)))
     to = url.partition("?")[0]

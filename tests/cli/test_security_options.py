@@ -32,7 +32,7 @@ def url(pki: Pki) -> Iterator[str]:
 
 @pytest.fixture
 def own(pki: Pki) -> list[str]:
-    """Options of one who may talk."""
+    """The options of a client that may read and write."""
     files = pki.files(certificates.client())
     return ["--cert", str(files.cert), "--key", str(files.key), "--ca", str(pki.ca)]
 
@@ -45,7 +45,7 @@ def read(url: str, *options: str, **environment: str) -> str:
 
 
 def fails(code: int, *arguments: str, **environment: str) -> str:
-    """The one line that tells why."""
+    """Return the one line of the error."""
     result = run(*arguments, environment=environment)
     assert result.code == code
     assert result.out == ""
@@ -84,7 +84,7 @@ def test_a_password_comes_from_the_environment(url: str, pki: Pki) -> None:
     assert "sesame" not in text
 
 
-def test_no_prompt_for_a_password(pki: Pki) -> None:
+def test_a_command_without_a_terminal_asks_for_no_password(pki: Pki) -> None:
     """OpenSSL would ask the terminal."""
     files = pki.files(certificates.client(), SECRET.encode())
     master, slave = pty.openpty()

@@ -13,7 +13,7 @@ from tests.support.programs import run_to_end
 
 
 def modules_after(*arguments: str) -> set[str]:
-    """Those in memory when the command ends."""
+    """Return the modules that were imported when the command ends."""
     program = (
         "import atexit, sys\n"
         "from libmodbus_py.cli.main import main\n"
@@ -54,13 +54,13 @@ def test_wrong_usage_imports_no_client(arguments: list[str]) -> None:
     assert not modules & SLOW
 
 
-def test_help_brings_the_defaults_and_no_client() -> None:
+def test_help_imports_the_defaults_and_no_client() -> None:
     modules = modules_after("write", "--help")
     assert not any(name.startswith("libmodbus_py.client") for name in modules)
     assert not modules & {"asyncio", "ssl", "logging"}
 
 
-def test_a_read_brings_a_blocking_client() -> None:
+def test_a_read_imports_the_blocking_client_alone() -> None:
     modules = modules_after("read", "127.0.0.1:1", "holding", "0")
     assert "libmodbus_py.client.blocking" in modules
     assert not modules & {"asyncio", "ssl", "logging", "csv", "datetime", "json"}
@@ -86,14 +86,14 @@ def test_closed_streams_are_no_error(closed: str) -> None:
     assert result.stderr == ""
 
 
-def test_ctrl_c_while_it_starts_shows_nothing_of_python() -> None:
-    """From the first line of ours on; what is before that is Python's own."""
+def test_ctrl_c_during_the_start_shows_no_traceback() -> None:
+    """From the first line of the package on; earlier tracebacks are Python's own."""
     program = (
         "import os, signal, sys, threading, time\n"
         "def interrupt():\n"
         "    while 'libmodbus_py.cli.output' not in sys.modules: pass\n"
         "    time.sleep(float(sys.argv[1])); os.kill(os.getpid(), signal.SIGINT)\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell may have it ignored
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell may ignore it
         "threading.Thread(target=interrupt, daemon=True).start()\n"
         "from libmodbus_py.cli.main import main\n"
         "sys.exit(main(['read', sys.argv[2], 'holding', '0']))"
@@ -106,7 +106,7 @@ def test_ctrl_c_while_it_starts_shows_nothing_of_python() -> None:
 
 
 @pytest.mark.parametrize(("cause", "code"), [(KeyboardInterrupt(), 130), (None, 1)])
-def test_ctrl_c_that_became_another_error_is_still_one(monkeypatch, cause, code) -> None:
+def test_ctrl_c_that_became_another_error_ends_like_ctrl_c(monkeypatch, cause, code) -> None:
     """As in `__set_name__`, while a class is made; a mistake of ours is one line."""
 
     def fail(_: object) -> None:
@@ -119,7 +119,7 @@ def test_ctrl_c_that_became_another_error_is_still_one(monkeypatch, cause, code)
     assert result.err.count("\n") == (code == 1)
 
 
-def test_what_the_terminal_cannot_show_is_written_in_ascii() -> None:
+def test_characters_that_the_terminal_cannot_show_are_written_in_ascii() -> None:
     program = (
         "import sys; from libmodbus_py.cli import output; output.prepare(); print('21.5 \\u00b0C')"
     )

@@ -76,7 +76,7 @@ def error_of(folder: Path, line: str, code: int) -> str:
     return re.sub(r"\S+/examples/", "EXAMPLES/", text)
 
 
-def test_one_line_names_what_is_wrong(folder: Path, refused: Refused) -> None:
+def test_one_line_names_a_wrong_argument(folder: Path, refused: Refused) -> None:
     def raise_error(line: str) -> None:
         raise ValueError(error_of(folder, line, 2))
 
@@ -84,5 +84,5 @@ def test_one_line_names_what_is_wrong(folder: Path, refused: Refused) -> None:
 
 
 @each_case(("line", "message"), UNREACHABLE)
-def test_one_line_names_what_cannot_be_reached(folder: Path, line: str, message: str) -> None:
+def test_one_line_names_an_unreachable_endpoint(folder: Path, line: str, message: str) -> None:
     assert message in error_of(folder, line, 1)

@@ -1,4 +1,4 @@
-"""What the tests of clients share."""
+"""Fixtures of the tests of clients."""
 
 from collections.abc import Iterator
 from typing import Any

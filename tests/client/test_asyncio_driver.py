@@ -34,7 +34,7 @@ def answer_tcp(request: bytes, write: Write) -> None:
 
 
 @pytest.mark.parametrize("rs485", ["rts-up", "rts-down"])
-def test_a_line_that_must_be_turned_round_is_sent_to_after_its_delay(rs485: str) -> None:
+def test_a_line_with_a_turnaround_delay_is_sent_to_after_the_delay(rs485: str) -> None:
     async def use(plc: AsyncClient, peer: Scripted) -> None:
         for address in (3, 4):
             start = peer.network.events.now
@@ -115,7 +115,7 @@ def test_a_client_that_waits_for_nothing_sets_no_alarm() -> None:
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 
 
-def test_another_event_loop_is_refused_in_words() -> None:
+def test_another_event_loop_is_refused() -> None:
     plc = AsyncClient("tcp://no-such-host.invalid")
 
     async def use() -> None:
@@ -135,7 +135,7 @@ def test_another_event_loop_is_refused_in_words() -> None:
 
 
 @pytest.mark.parametrize("pending", [False, True])
-def test_a_loop_that_was_closed_under_a_client_leaves_a_client_that_can_be_dropped(pending, caplog):
+def test_a_loop_that_was_closed_before_its_client_leaves_no_warning(pending, caplog):
     """All that needs no loop works, and the descriptor is closed with the last handle."""
     loop = asyncio.new_event_loop()
 
@@ -147,7 +147,7 @@ def test_a_loop_that_was_closed_under_a_client_leaves_a_client_that_can_be_dropp
     with FakeServer(lambda request: [echo(request)], lambda request: []) as server:
         plc: Any = AsyncClient(server.url)
         loop.run_until_complete(use())
-        plc._driver._alarm.cancel()  # which would be left behind
+        plc._driver._alarm.cancel()  # the timer would be left behind
         loop.close()
         plc.timeout = 0.5
         assert (plc.for_unit(2).timeout, plc.state) == (0.5, State.CONNECTED)
@@ -159,7 +159,7 @@ def test_a_loop_that_was_closed_under_a_client_leaves_a_client_that_can_be_dropp
     assert caplog.records == []
 
 
-def test_values_of_a_watch_come_in_the_way_of_its_client() -> None:
+def test_values_of_a_watch_are_returned_as_its_client_returns_values() -> None:
     plc, other = Client("tcp://192.0.2.1"), AsyncClient("tcp://192.0.2.1")
     items = [("coils", 0, 8)]
     with pytest.raises(TypeError, match="'AsyncPolls' object is not an iterator"):
@@ -169,7 +169,7 @@ def test_values_of_a_watch_come_in_the_way_of_its_client() -> None:
     plc.close()
 
 
-def test_a_clock_that_was_put_in_place_of_the_loops_own_counts(monkeypatch) -> None:
+def test_a_clock_that_replaces_the_clock_of_the_loop_counts(monkeypatch) -> None:
     async def ask(url: str) -> None:
         loop = asyncio.get_running_loop()
         monkeypatch.setattr(loop, "time", lambda: 1e6 + time.monotonic())

@@ -22,7 +22,7 @@ GOOD = b"\x03\x06\x02\x2b\x00\x00\x00\x64"
 VALUES = [555, 0, 100]
 TIMEOUT = 0.5
 
-# What a line needs for an answer of 100 bytes, and for its silences.
+# The time on a line for an answer of 100 bytes, and for its silences.
 ON_LINE = 0.03
 
 
@@ -75,10 +75,10 @@ BAD_TCP: dict[str, tuple[Answer, type[ModbusError]]] = {
     "nothing": (lambda request: [], ModbusTimeoutError),
     "random bytes": (lambda request: [b"\xde\xad\xbe\xef" * 5], FrameError),
 }
-# Those whose bytes answer another request than the one that was asked.
+# Those whose bytes would answer another request.
 ANOTHERS = {"other unit", "other transaction", "other function", "exception of another function"}
 
-# A frame of another protocol is skipped, and its request waits on.
+# A frame of another protocol is skipped, and the request still waits.
 WAITED_OUT = {"other protocol"} | {
     name for name, (_, error) in BAD_TCP.items() if error is ModbusTimeoutError
 }
@@ -101,7 +101,7 @@ def test_tcp_error_and_next_request_succeeds(world: World, name: str) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "tls", "udp", "unix"])
-def test_a_response_whose_header_is_one_too_large_is_accepted(world: World, scheme) -> None:
+def test_a_response_whose_header_counts_one_byte_too_many_is_accepted(world: World, scheme) -> None:
     """wlcrs/tmodbus#146: exceptions of 9 bytes whose header says 4 in place of 3."""
     refusal, response = tcp(b"\x83\x02", length=4), tcp(GOOD, length=len(GOOD) + 2)
     peer = world.peer(scheme, answering(refusal, refusal, response, response))
@@ -114,7 +114,7 @@ def test_a_response_whose_header_is_one_too_large_is_accepted(world: World, sche
     assert peer.connections <= 1
 
 
-def test_the_byte_behind_an_exception_is_dropped(world: World) -> None:
+def test_a_byte_after_an_exception_response_is_dropped(world: World) -> None:
     def refuse(request: bytes, write: Write) -> None:
         write(mbap(request, b"\x83\x02", length=4))
         write(b"\0", after=0.1)
@@ -130,7 +130,7 @@ def test_the_byte_behind_an_exception_is_dropped(world: World) -> None:
     assert peer.connections == 1
 
 
-def test_a_write_whose_echo_has_a_byte_more_was_carried_out(world: World) -> None:
+def test_a_write_whose_echo_has_one_byte_too_many_was_carried_out(world: World) -> None:
     """IndustrialShields/arduino-Tools40#7: function 6 is answered with a stray byte, counted."""
     peer = world.peer("tcp", answering(lambda request: [mbap(request, request[7:] + b"\6")]))
     with world.connect(peer.url) as context:
@@ -277,7 +277,7 @@ STRAYS: dict[str, Callable[[bytes], bytes]] = {
 @pytest.mark.parametrize("pause", [0, 0.03])
 @pytest.mark.parametrize("stray", STRAYS)
 def test_noise_before_each_answer_on_a_line_is_dropped(stray, pause, world: World) -> None:
-    """A transceiver that turns round makes bytes; a pause is longer than the framer's silence."""
+    """Changing direction, a transceiver adds bytes; a pause is longer than the framer's silence."""
 
     def strayed(request: bytes, write: Write) -> None:
         write(STRAYS[stray](request) + (b"" if pause else answer(request, "rtu")))
@@ -288,8 +288,8 @@ def test_noise_before_each_answer_on_a_line_is_dropped(stray, pause, world: Worl
         assert [read(client, address) for address in range(40)] == list(range(40))
 
 
-def test_a_late_answer_during_a_request_does_not_fail_it(world: World) -> None:
-    """It comes while the second request after the one that was given up waits."""
+def test_a_late_answer_during_a_request_does_not_fail_the_request(world: World) -> None:
+    """The answer comes while the second request after its own one waits."""
     owed = b""
 
     def late(request: bytes, write: Write) -> None:
@@ -330,8 +330,8 @@ def test_a_device_that_is_unit_255_is_reached_with_an_option(world: World) -> No
             assert [read(client, address) for address in range(5)] == list(range(5))
 
 
-def test_what_came_meanwhile_is_no_answer_to_the_next_request(world: World) -> None:
-    """A program that was busy reads what nobody asked for before it asks."""
+def test_frames_that_came_between_two_requests_answer_neither(world: World) -> None:
+    """A busy program drops unrequested frames before it sends a request."""
 
     def twice(request: bytes, write: Write) -> None:
         write(answer(request, "rtu+tcp"))
@@ -339,7 +339,7 @@ def test_what_came_meanwhile_is_no_answer_to_the_next_request(world: World) -> N
 
     with world.client_of("rtu+tcp", twice, timeout=1.0) as client:
         client.connect()
-        world.compute(0.1)  # of the line nothing is known, and answers to others are over
+        world.compute(0.1)  # the line has no history, and answers to other programs are over
         for address in range(5):
             assert read(client, address) == address
             world.compute(0.1)

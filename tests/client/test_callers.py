@@ -1,4 +1,4 @@
-"""Callers in bytes and times: who is told what, who leaves, who is interrupted."""
+"""Callers in bytes and times: their outcomes, cancellations and interruptions."""
 
 import asyncio
 import errno
@@ -47,7 +47,7 @@ def test_the_logger_of_the_wire_has_the_same(caplog: pytest.LogCaptureFixture) -
 
 
 class Failing(pdu.ReadHoldingRegisters):
-    """A request class with a mistake in it, or one that a signal meets."""
+    """A request class that raises, by mistake or because of a signal."""
 
     __slots__ = ()
     error: BaseException
@@ -60,7 +60,7 @@ class Failing(pdu.ReadHoldingRegisters):
 @pytest.mark.parametrize(
     "error", [ZeroDivisionError(), ValueError(), KeyboardInterrupt(), asyncio.CancelledError()]
 )
-def test_what_a_request_class_raises_reaches_its_own_caller_only(url: str, error) -> None:
+def test_an_exception_from_a_request_class_reaches_only_its_own_caller(url: str, error) -> None:
     kind = type("Kind", (Failing,), {"__slots__": (), "error": error})
     driver = Driver(url)
     for go_on in (True, False):
@@ -76,11 +76,11 @@ def test_what_a_request_class_raises_reaches_its_own_caller_only(url: str, error
                     driver.come(answer(driver, at))
         assert (before.outcomes, after.outcomes) == ([[1]], [[5]])
         assert batch.outcomes[:2] == [[2], error]
-        assert batch.is_done  # nothing is tolerated but a ModbusError
+        assert batch.is_done  # only a ModbusError is tolerated
     assert driver.is_at_rest
 
 
-def test_an_outcome_without_comparison_has_no_effect_on_others() -> None:
+def test_requests_that_cannot_be_compared_have_no_effect_on_others() -> None:
     class Stubborn:
         def __eq__(self, other: object) -> bool:
             raise ValueError("the truth of an array is ambiguous")
@@ -100,7 +100,7 @@ def test_an_outcome_without_comparison_has_no_effect_on_others() -> None:
     assert batch.is_done
 
 
-def test_requests_that_were_not_sent_are_no_sign_of_a_dead_device() -> None:
+def test_requests_that_were_not_sent_do_not_count_as_unanswered() -> None:
     driver = Driver(timeout=1, max_in_flight=1)
     driver.ask(1)
     for entry in [driver.ask(2), driver.ask(3), driver.ask(4)]:
@@ -124,7 +124,7 @@ def test_requests_go_out_before_answers_are_decoded() -> None:
     assert [batch.outcomes for batch in batches] == [[[1]], [[2]], [[3]]]
 
 
-def test_a_batch_that_failed_while_it_waited_can_be_left() -> None:
+def test_a_batch_that_failed_while_it_waited_can_be_cancelled() -> None:
     driver = Driver(max_in_flight=4)
     batch = driver.ask(*range(9), one_by_one=False)
     assert len(driver.sent) == 4
@@ -138,7 +138,7 @@ INTERRUPTED = ModbusConnectionError("interrupted", errno=errno.EINTR)
 
 
 @BOTH
-def test_interrupted_requests_leave_nothing(url: str) -> None:
+def test_interrupted_requests_leave_nothing_behind(url: str) -> None:
     driver = Driver(url, timeout=1, busy_retries=1, turnaround=0.5)
     busy = driver.ask(1)
     driver.come(refusal(driver, 6))
@@ -157,7 +157,7 @@ def test_interrupted_requests_leave_nothing(url: str) -> None:
     exchange(driver, 7)
 
 
-def test_an_attempt_that_was_interrupted_is_given_up() -> None:
+def test_an_interrupted_attempt_to_connect_is_abandoned() -> None:
     driver = Driver(is_open=False)
     driver.ask(1)
     driver.life.connecting()
@@ -181,7 +181,7 @@ def test_a_connection_that_was_lost_begins_with_nothing_in_flight() -> None:
     assert driver.connection.in_flight == 1
 
 
-def test_a_batch_that_fails_keeps_the_outcomes_it_has() -> None:
+def test_a_batch_that_fails_keeps_the_outcomes_it_already_has() -> None:
     batch = Batch(1, [pdu.ReadCoils(0, 1), pdu.ReadCoils(1, 1)], Timeouts(1, 0, 0))
     batch.calls[1].settle("first")
     batch.settle(failure := ModbusConnectionError("interrupted", errno=errno.EINTR))

@@ -1,4 +1,4 @@
-"""Callers that leave, at any step of the loop, while they wait. Nobody else notices."""
+"""Callers that are cancelled, at any step of the loop, while they wait. Others are not affected."""
 
 import asyncio
 import contextlib
@@ -54,7 +54,7 @@ def test_cancelled_callers_do_not_end_the_connecting_of_others() -> None:
     run_peer(on_read, main)
 
 
-def test_an_answer_that_is_read_in_the_turn_of_the_cancellation() -> None:
+def test_an_answer_read_in_the_same_turn_as_a_cancellation_goes_to_no_other_request() -> None:
     async def main(peer: Scripted) -> None:
         def note(frame: TracedFrame) -> None:
             if frame.direction == "received" and not reading.done():
@@ -89,7 +89,7 @@ def test_a_request_cancelled_during_a_pause_is_not_sent(options: dict[str, Any])
 
 @each_case("url", [LINE, TCP])
 @each_case("order", ["as given", "reverse", "random"])
-def test_many_that_wait_cost_few_steps_each(url, order, monkeypatch) -> None:
+def test_thousands_of_waiting_requests_cost_few_comparisons_each(url, order, monkeypatch) -> None:
     """Comparisons of requests are counted: removed one by one from a list, millions."""
     driver, compared = Driver(url, max_in_flight=1), 0
 
@@ -120,7 +120,7 @@ def test_many_that_wait_cost_few_steps_each(url, order, monkeypatch) -> None:
 
 
 def test_a_cancelled_batch_leaves_other_requests_their_answers() -> None:
-    """Whatever the request waits for: the connection, its slot, its answer."""
+    """Whatever the request waits for: the connection, its slot or its answer."""
 
     async def main(peer: Scripted) -> None:
         for is_kept in (True, False):
@@ -197,7 +197,7 @@ def test_a_client_connects_again_after_a_cancelled_attempt() -> None:
 
 @pytest.mark.parametrize("hook", ["on_state", "trace"])
 @pytest.mark.parametrize("at", range(4))
-def test_a_hook_that_cancels_leaves_a_client_that_works(at: int, hook: str) -> None:
+def test_a_callback_that_raises_a_cancellation_leaves_a_working_client(at: int, hook: str) -> None:
     calls = iter(range(1000))
 
     def fail(*_: object) -> None:
@@ -220,7 +220,7 @@ def test_a_hook_that_cancels_leaves_a_client_that_works(at: int, hook: str) -> N
         asyncio.run(main(peer))
 
 
-def test_closing_while_it_connects() -> None:
+def test_a_client_can_be_closed_while_it_connects() -> None:
     async def main(peer: Scripted) -> None:
         for turns in range(6):
             plc = AsyncClient(peer.url)

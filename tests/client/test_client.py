@@ -135,7 +135,7 @@ def agreements(functions: range) -> list[Ask]:
 
 
 @pytest.mark.parametrize("transport", ["tcp", "rtu"])
-def test_against_libmodbus_in_c(compiled: Callable[[str], Any], transport: str) -> None:
+def test_a_libmodbus_server_in_c_is_read(compiled: Callable[[str], Any], transport: str) -> None:
     for what in agreements(range(1, 44)):
         with c_serving(compiled("server"), transport) as url:
             ask(url, what)

@@ -9,7 +9,7 @@ from tests.support.replies import BOTH, addresses, answer, refusal, time_out
 
 
 @BOTH
-def test_a_request_has_its_time_and_no_more(url: str) -> None:
+def test_a_request_fails_exactly_at_the_end_of_its_timeout(url: str) -> None:
     driver = Driver(url, timeout=1)
     batch = driver.ask(5)
     driver.wait(0.999)
@@ -23,7 +23,7 @@ def test_a_request_has_its_time_and_no_more(url: str) -> None:
     assert driver.is_at_rest
 
 
-def test_waiting_for_others_requests_does_not_count() -> None:
+def test_the_time_of_other_requests_does_not_count() -> None:
     driver = Driver(LINE, timeout=1)
     batches = [driver.ask(number) for number in range(5)]
     for _ in range(5):
@@ -33,7 +33,7 @@ def test_waiting_for_others_requests_does_not_count() -> None:
 
 
 @BOTH
-def test_waiting_for_the_connection_counts(url: str) -> None:
+def test_the_time_of_connecting_counts(url: str) -> None:
     driver = Driver(url, timeout=1, is_open=False)
     batch = driver.ask(1, 2)
     driver.life.connecting()
@@ -46,7 +46,7 @@ def test_waiting_for_the_connection_counts(url: str) -> None:
     assert kinds(batch)[0] is ModbusTimeoutError
 
 
-def test_a_request_waits_for_a_connection_for_its_timeout_alone() -> None:
+def test_a_request_waits_for_a_connection_no_longer_than_its_timeout() -> None:
     driver = Driver(timeout=1, is_open=False)
     short, batch, joining = driver.ask(1, timeout=0.5), driver.ask(2, 3, go_on=True), driver.join()
     driver.life.connecting()
@@ -74,8 +74,8 @@ def test_after_three_timeouts_in_a_row_the_next_request_goes_over_a_new_connecti
     assert driver.statistics.lost == 1
 
 
-def test_a_dumb_host_is_asked_again_over_and_over() -> None:
-    """Whoever polls a dead device behind a gateway finds it as soon as it is back."""
+def test_a_host_that_never_answers_is_asked_over_and_over() -> None:
+    """Polls of a dead device behind a gateway succeed as soon as the device is back."""
     driver = Driver(timeout=1)
     for _ in range(20):
         batch = driver.ask(1)
@@ -100,7 +100,7 @@ def test_cancelled_requests_count_as_unanswered() -> None:
 
 
 @pytest.mark.parametrize("life", ["its answer", "another's answer", "a refusal"])
-def test_any_sign_of_life_starts_the_count_anew(life: str) -> None:
+def test_any_received_frame_starts_the_count_anew(life: str) -> None:
     driver = Driver(timeout=1)
     for _ in range(2):
         time_out(driver)
@@ -128,7 +128,7 @@ def test_a_device_that_stays_one_answer_behind_gets_a_new_connection() -> None:
     assert "but that to an earlier request; a longer timeout=?" in str(batch.outcomes[0])
 
 
-def test_an_answer_without_a_request_is_no_sign_of_life() -> None:
+def test_an_answer_with_an_unknown_id_does_not_count_as_received() -> None:
     driver = Driver(timeout=1)
     for _ in range(3):
         driver.ask(1)
@@ -183,7 +183,7 @@ def test_every_request_has_an_error_of_its_own() -> None:
     assert LOST.sent == b""
 
 
-def test_a_batch_that_is_decided_opens_no_connection() -> None:
+def test_a_batch_that_has_ended_opens_no_connection() -> None:
     driver = Driver()
     batch = driver.ask(1, 2)
     driver.lose()
@@ -194,7 +194,7 @@ def test_a_batch_that_is_decided_opens_no_connection() -> None:
     assert not driver.connection.is_wanted
 
 
-def test_three_fruitless_connections_fail_all_waiting_requests() -> None:
+def test_three_connections_without_an_answer_fail_all_waiting_requests() -> None:
     driver = Driver(max_in_flight=1)
     batch = driver.ask(*range(10), go_on=True)
     for number in range(3):
@@ -207,7 +207,7 @@ def test_three_fruitless_connections_fail_all_waiting_requests() -> None:
     assert driver.is_at_rest
 
 
-def test_an_answer_between_makes_connections_fruitful() -> None:
+def test_an_answer_before_a_connection_ends_keeps_waiting_requests() -> None:
     driver = Driver(max_in_flight=1)
     batch = driver.ask(*range(10), go_on=True)
     for _ in range(10):
@@ -233,7 +233,7 @@ def test_waiting_requests_share_one_attempt_and_its_failure() -> None:
     assert len({id(batch.outcomes[0]) for batch in batches}) == 3
 
 
-def test_a_broadcast_that_was_cancelled_still_has_the_line() -> None:
+def test_a_broadcast_that_was_cancelled_keeps_its_time_on_the_line() -> None:
     driver = Driver(LINE, turnaround=0.2)
     driver.cancel(driver.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True))
     driver.ask(5)

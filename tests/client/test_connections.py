@@ -81,7 +81,7 @@ def test_request_waits_for_the_next_attempt_if_it_has_time(world: World, max_pau
 
 
 @pytest.mark.parametrize("retries", [0, 3])
-def test_a_server_that_closes_at_once_is_an_error_soon(world: World, retries: int) -> None:
+def test_a_server_that_closes_each_connection_is_reported_soon(world: World, retries: int) -> None:
     peer = world.peer("tcp", lambda request, write: write(None))
     with (
         world.connect(peer.url, timeout=60, retries=retries, max_pause=0.5) as client,
@@ -93,7 +93,7 @@ def test_a_server_that_closes_at_once_is_an_error_soon(world: World, retries: in
                 read(client, 1)
 
 
-def test_server_that_hangs_up_at_once_is_not_hammered(world: World) -> None:
+def test_a_server_that_closes_each_connection_is_not_asked_without_pauses(world: World) -> None:
     """Pauses of 0.1, 0.2, 0.4 ... 25.6 s, by chance a fifth shorter or longer."""
     peer = world.peer("tcp", lambda request, write: write(None))
     with world.connect(peer.url, timeout=0.2, max_pause=30) as plc:
@@ -106,7 +106,7 @@ def test_server_that_hangs_up_at_once_is_not_hammered(world: World) -> None:
             assert peer.connections <= most
 
 
-def test_connections_that_end_are_made_anew_by_the_next_request(world: World) -> None:
+def test_a_new_request_replaces_a_connection_that_ended(world: World) -> None:
     """At once, before the client has read of the end, and later."""
     peer = world.peer("tcp", on_read)
     with world.connect(peer.url, max_pause=0) as plc:
@@ -156,7 +156,7 @@ def test_an_unplugged_port_is_a_connection_error_and_is_opened_again(world: Worl
 
 
 @ALL
-def test_a_port_that_is_unplugged_on_the_real_system(kind: str, tmp_path: Path) -> None:
+def test_a_port_unplugged_on_the_real_system_is_an_error(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "port"
     device = Device(Mapping(holding_registers=8))
     with connecting_to(kind, f"rtu://{path}?baudrate=115200", timeout=60, max_pause=0) as plc:
@@ -205,7 +205,7 @@ def test_close_is_idempotent_and_final(world: World) -> None:
 
 @pytest.fixture(params=["an answer", "a connection", "a pause"])
 def somebody_waits(request: pytest.FixtureRequest, connect: Connect) -> Iterator[Any]:
-    """A client, and what asks it and waits for longer than a test may take."""
+    """A client, and a thread or task whose request lasts longer than a test may."""
     with contextlib.ExitStack() as stack:
         if request.param == "a connection":
             plc = connect(f"tcp://127.0.0.1:{stack.enter_context(mute_port())}", timeout=600)

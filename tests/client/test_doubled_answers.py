@@ -16,7 +16,7 @@ LINE = "rtu:///dev/nowhere?silence=0"
 
 
 def failures(client: Any, count: int) -> int:
-    """Read registers, and return how many reads failed: none may give another value."""
+    """Read registers, and return how many reads failed: no read may give a wrong value."""
     count_ = 0
     for address in range(1, count):
         try:
@@ -46,7 +46,7 @@ def test_no_value_is_that_of_another_request(world: World, scheme: str) -> None:
 
 @pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp", "rtu"])
 def test_a_copy_right_behind_each_answer_is_never_the_next_value(world: World, scheme: str) -> None:
-    """It is found by its equality, or while the one after it is held; then that request fails."""
+    """The copy is equal, or comes while the next answer is held; then that request fails."""
 
     def twice(request: bytes, write: Write) -> None:
         write(answer(request, scheme), after=0.01)
@@ -57,7 +57,7 @@ def test_a_copy_right_behind_each_answer_is_never_the_next_value(world: World, s
 
 
 def asked(driver: Driver, address: int, *answers: tuple[float, bytes]) -> object:
-    """Return the outcome of a read to which such answers come, each after so many seconds."""
+    """Return the outcome of a read with these answers, each after so many seconds."""
     driver.wait(0.05)
     batch, start = driver.ask(address), driver.now
     for delay, data in answers:
@@ -75,8 +75,8 @@ def warm() -> Driver:
     return driver
 
 
-def test_what_several_registers_have_in_common_is_believed() -> None:
-    """Each is held the first time only."""
+def test_equal_values_of_several_registers_are_accepted_after_the_first_time() -> None:
+    """Each value is held the first time only."""
     driver = warm()
     for addresses in ((50, 51, 52), (50, 51, 52)):
         for address in addresses:
@@ -84,7 +84,7 @@ def test_what_several_registers_have_in_common_is_believed() -> None:
     exchange(driver, 50, 0, after=0.01)
 
 
-def test_an_answer_that_is_doubted_behind_an_echo_is_not_taken_for_damage() -> None:
+def test_an_answer_held_after_an_echo_is_not_taken_for_damage() -> None:
     """The echo of a write is not a frame of an answer, but it begins as its answer does."""
     write = pdu.WriteRegisters(1, [1, 2])
     driver = Driver(LINE, timeout=1)
@@ -107,7 +107,7 @@ def test_answers_of_a_unit_that_became_faster_are_held_once() -> None:
         assert batch.outcomes == [[number]]
 
 
-def test_answers_that_vary_in_time_are_believed_at_once() -> None:
+def test_answers_of_varying_times_are_accepted_at_once() -> None:
     """As on a network, where the time of one says little of the next."""
     driver, chance, count = Driver(LINE, timeout=1), random.Random(1), 0
     for number in range(1, 2000):

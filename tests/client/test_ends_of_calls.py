@@ -23,7 +23,7 @@ from tests.support.urls import url_for
 
 PLACES_OF_SIGNALS = ("call", "c_call", "c_return")
 
-# What frames need to arrive, in seconds.
+# The seconds that frames need to arrive.
 SETTLED = 0.1
 
 ERRORS = [TimeoutError("its own"), MemoryError(), KeyboardInterrupt()]
@@ -77,7 +77,7 @@ def replying(scheme: str) -> Callable[[bytes, Write], object]:
 def struck(
     call: Callable[[], object], number: int, error: BaseException
 ) -> tuple[bool, BaseException | None]:
-    """Return whether a call had so many moments, and what it raised."""
+    """Return whether a call had so many moments, and the exception that it raised."""
     failure = None
     with Strike(number, error) as strike:
         try:
@@ -119,7 +119,7 @@ def strike_each_moment(
 
 @RAISED
 @TRANSPORTS
-def test_nothing_is_sent_of_a_call_that_a_context_was_thrown_out_of(
+def test_no_request_of_a_call_is_sent_after_an_exception_ended_the_call(
     scheme: str, error: BaseException
 ) -> None:
     with making("blocking") as world:
@@ -145,7 +145,7 @@ def test_nothing_is_sent_of_an_interrupted_call_on_a_real_port(scheme, error) ->
 
 
 def ended(loop: asyncio.AbstractEventLoop, tasks: list[asyncio.Task[Any]]) -> None:
-    """Run a loop until tasks are done, whatever else is raised there."""
+    """Run a loop until tasks are done, whatever other exceptions are raised there."""
     while not all(task.done() for task in tasks):
         with contextlib.suppress(SystemExit):
             loop.run_until_complete(asyncio.wait(tasks))
@@ -166,7 +166,7 @@ class Leaving:
 
 @pytest.mark.parametrize("hook", ["trace", "on_state", "may_send", "on_done", "decode_response"])
 @TRANSPORTS
-def test_no_caller_waits_for_a_client_whose_hook_ends_the_program(scheme: str, hook: str) -> None:
+def test_all_callers_return_when_a_callback_ends_the_program(scheme: str, hook: str) -> None:
     """Three callers at once; the program goes on after SystemExit, and every caller is told."""
     network = Network()
     peer = Scripted(network, url_for(scheme, line="/dev/line?baudrate=115200"), replying(scheme))
@@ -221,7 +221,7 @@ def writes(first: int) -> list[pdu.WriteRegister]:
     return [pdu.WriteRegister(first + at, 1) for at in range(5)]
 
 
-def test_nothing_is_sent_of_many_requests_that_a_context_was_thrown_out_of() -> None:
+def test_none_of_many_requests_is_sent_after_an_exception_ended_their_call() -> None:
     error, number, is_struck = MemoryError(), 0, True
     with making("blocking") as world:
         peer = world.peer("tcp", replying("tcp"))

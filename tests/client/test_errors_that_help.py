@@ -1,4 +1,4 @@
-"""The usual mistakes, each said in the one line of the error that it leads to."""
+"""The usual mistakes, each named in the one line of its error."""
 
 import errno
 import re
@@ -22,7 +22,7 @@ IN_RTU, IN_ASCII, IN_TCP = (
     bytes.fromhex("0001 0000 0005 01 03 02 00AA"),
 )
 
-# What is spoken -> the URL's scheme, what comes back, and what the error says.
+# The protocol of the peer -> the URL's scheme, the peer's answer, and the text of the error.
 MISTAKES: dict[str, tuple[str, Callable[[bytes], bytes], str]] = {
     "another id": (
         "tcp",

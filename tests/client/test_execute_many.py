@@ -115,7 +115,7 @@ def test_libmodbus_server_in_c(connect: Connect, tmp_path: Path) -> None:
     assert results == [list(range(1100 + at % 100, 1225 + at % 100)) for at in range(800)]
 
 
-def test_nothing_to_ask_needs_no_connection(connect: Connect) -> None:
+def test_an_empty_list_of_requests_needs_no_connection(connect: Connect) -> None:
     context = connect("tcp://127.0.0.1:1")
     assert context.execute_many([]) == []
     assert context.read_many({}) == {}
@@ -129,7 +129,7 @@ def test_nothing_to_ask_needs_no_connection(connect: Connect) -> None:
         ([pdu.ReadCoils], {}, TypeError, r"requests\[0\] must be a request object of pdu"),
     ],
 )
-def test_nothing_is_sent_for_bad_arguments(world: World, requests, options, kind, message) -> None:
+def test_bad_arguments_cause_no_frame(world: World, requests, options, kind, message) -> None:
     peer = world.peer("tcp", on_read)
     with world.connect(peer.url, max_in_flight=16) as context:
         with pytest.raises(kind, match=message):
@@ -169,8 +169,8 @@ def test_request_without_an_answer_times_out_alone(world: World) -> None:
 
 
 @pytest.mark.parametrize("again", ["one", "many"])
-def test_requests_left_behind_by_a_failure_poison_nothing(world: World, again: str) -> None:
-    """The first is refused; the other fifteen are answered when something else is asked."""
+def test_requests_left_after_a_failure_do_not_affect_later_ones(world: World, again: str) -> None:
+    """The first is refused; answers to the other fifteen arrive during a later request."""
     late: list[bytes] = []
 
     def refused(requests: list[bytes], write: Write) -> None:
@@ -191,7 +191,7 @@ def test_requests_left_behind_by_a_failure_poison_nothing(world: World, again: s
         peer.on_request = Gathered(world, refused)
         with pytest.raises(IllegalDataAddress):
             context.execute_many(reads(400))
-        assert len(late) == 16  # and nothing was sent after the refusal
+        assert len(late) == 16  # nothing was sent after the refusal
         if again == "one":
             assert context.read_holding_registers(900, 1) == [900]
         else:
@@ -202,7 +202,7 @@ def test_requests_left_behind_by_a_failure_poison_nothing(world: World, again: s
 
 
 def test_first_failure_in_the_order_of_requests_is_raised_at_once(world: World) -> None:
-    """As soon as all before it are answered, whatever is not answered behind it."""
+    """As soon as all requests before it are answered, whatever follows."""
 
     def play(requests: list[bytes], write: Write) -> None:
         for request in (refusal(requests[5], 4), *map(echo, requests[6:])):
@@ -225,7 +225,7 @@ def test_first_failure_in_the_order_of_requests_is_raised_at_once(world: World) 
 
 
 @BY_ID
-def test_wrong_answers_spoil_their_own_requests_only(world: World, scheme: str) -> None:
+def test_wrong_answers_fail_their_own_requests_only(world: World, scheme: str) -> None:
     def play(request: bytes, write: Write) -> None:
         answers = {
             3: mbap(request, b"\x04\x02" + request[8:10]),

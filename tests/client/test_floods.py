@@ -1,4 +1,4 @@
-"""Peers that send without end: the wait ends when it must, and little is kept of what they sent."""
+"""Peers that send without end: the wait ends with the timeout, and few of the bytes are kept."""
 
 import contextlib
 import random
@@ -74,7 +74,7 @@ def test_a_flood_costs_neither_time_nor_memory(flood: str, world: World) -> None
         finally:
             tracemalloc.stop()
     assert size < 64 * 1024
-    assert most < 1024 * 1024  # what is looked at in one turn, and what the network itself keeps
+    assert most < 1024 * 1024  # the bytes read in one turn, and those that the network itself keeps
 
 
 @contextlib.contextmanager
@@ -97,7 +97,7 @@ def pouring(scheme: str, data: bytes) -> Iterator[str]:
 @pytest.mark.parametrize(
     ("scheme", "data"), [("tcp", STRANGE * 4096), ("udp", STRANGE), ("rtu+tcp", NOISE * 32)]
 )
-def test_a_flood_that_leaves_no_pause_ends(scheme: str, data: bytes, kind: str) -> None:
+def test_a_flood_without_pauses_ends_with_the_timeout(scheme: str, data: bytes, kind: str) -> None:
     """There is always more to be read: only the clock ends the wait."""
     with pouring(scheme, data) as url, asking(kind, url, timeout=0.1) as client:
         error = failure(lambda: read(client, 1))
@@ -106,8 +106,8 @@ def test_a_flood_that_leaves_no_pause_ends(scheme: str, data: bytes, kind: str) 
 
 @pytest.mark.parametrize("scheme", ["rtu", "ascii"])
 @pytest.mark.parametrize("pause", [0.001, 0.02])
-def test_a_line_that_is_never_quiet_ends_the_wait(pause: float, scheme: str, world: World) -> None:
-    """From the first request on, and while it waits for the silence that must come before."""
+def test_a_line_that_is_never_silent_ends_the_wait_in_time(pause: float, scheme: str, world: World):
+    """From the first request on, and while it waits for the silence before its frame."""
     noise = b"0123456789ABCDEF" if scheme == "ascii" else bytes(range(0x80, 0x90))
     with world.client_of(scheme, flooding(world.network, noise, pause), timeout=0.2) as client:
         for _ in range(3):
@@ -127,8 +127,8 @@ def test_a_line_that_is_never_quiet_ends_the_wait(pause: float, scheme: str, wor
         ("rtu", bytes(range(0x80, 0x90)) * 16, 0.03),
     ],
 )
-def test_an_idle_client_leaves_a_flood_unread(scheme, data, pause, monkeypatch) -> None:
-    """An event loop that is told of each byte would do nothing else."""
+def test_an_idle_client_leaves_a_flood_in_the_system(scheme, data, pause, monkeypatch) -> None:
+    """An event loop that handled each byte would do nothing else."""
     with (
         making("asyncio") as world,
         world.client_of(scheme, flooding(world.network, data, pause), timeout=0.1) as client,

@@ -56,7 +56,7 @@ def plc(connect: Connect, url: str) -> Iterator[Any]:
         yield client
 
 
-def test_reads_and_writes_reach_all_four_tables(plc: Any, mapping: Mapping) -> None:
+def test_reads_and_writes_use_all_four_tables(plc: Any, mapping: Mapping) -> None:
     for turn in range(3):
         coils = [True, False, True, True, False, False, True, True, True, False]
         assert plc.read_coils(10, 10) == coils
@@ -198,7 +198,7 @@ def talking_to(device: Device, transport: str, **options: Any) -> Iterator[Clien
 
 @dataclass(frozen=True, slots=True)
 class Reverse(pdu.Request[bytes]):
-    """A count byte and that many bytes; they come back reversed."""
+    """A count byte and that many bytes, which are returned in reverse."""
 
     data: bytes
 
@@ -257,7 +257,7 @@ REFUSALS = [
 ]
 
 
-def test_what_a_hook_raises_comes_out_at_the_client(transport: str) -> None:
+def test_an_exception_of_a_hook_at_the_server_is_raised_at_the_client(transport: str) -> None:
     refusals: list[type[ExceptionResponse]] = []
 
     def refuse(access: Access) -> None:
@@ -296,7 +296,7 @@ def test_hooks_get_unit_and_peer_of_requests(transport: str) -> None:
         ("basic", "2b0e 02 83 00 00 01 00 01 61"),  # another level
     ],
 )
-def test_pages_that_do_not_answer_are_invalid(level: str | int, answer: str) -> None:
+def test_identification_pages_for_other_objects_are_invalid(level: str | int, answer: str) -> None:
     page = bytes.fromhex(answer)
     with making("blocking") as world:
         peer = world.peer("tcp", answering(lambda request: [mbap(request, page)]))

@@ -23,12 +23,12 @@ from tests.support.signals import on_alarm
 
 
 class Interruption(BaseException):
-    """What a signal handler may raise."""
+    """An exception that a signal handler may raise."""
 
 
 @contextlib.contextmanager
 def connecting_here(kind: str) -> Iterator[Connect]:
-    """Yield what makes clients whose event loop, if they have one, runs in this thread."""
+    """Yield a function that makes clients; their event loop, if any, runs in this thread."""
     if kind == "asyncio":
         with asyncio.Runner() as runner:
             yield lambda url: Awaited(runner.run, AsyncClient(url))
@@ -40,7 +40,7 @@ def connecting_here(kind: str) -> Iterator[Connect]:
 @pytest.mark.parametrize(
     ("kind", "error"), [("blocking", Interruption), ("asyncio", ModbusConnectionError)]
 )
-def test_an_error_while_connecting_leaves_a_client_that_can(kind, error, monkeypatch):
+def test_a_client_can_be_used_after_an_error_while_connecting(kind, error, monkeypatch):
     def interrupt(*_: object) -> None:
         raise Interruption
 
@@ -158,7 +158,7 @@ class Finalized:
 
 @contextlib.contextmanager
 def other_process(scheme: str = "tcp") -> Iterator[str]:
-    """A server that no collector, signal or fork of this process reaches; gives its URL."""
+    """A server that no collector, signal or fork of this process reaches; return its URL."""
     command = [sys.executable, "-m", "libmodbus_py", "serve", f"{scheme}://127.0.0.1:0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -202,7 +202,7 @@ def test_close_and_requests_in_a_finalizer_during_a_request() -> None:
 # A socket that was just being made is closed when it is collected.
 @pytest.mark.filterwarnings("ignore:.*unclosed <socket.*")
 def test_ctrl_c_at_any_moment_fails_no_later_request(place: str) -> None:
-    """Each request that is not interrupted is right; none meets what an interrupted one left."""
+    """Each request that is not interrupted is right; no answer to an interrupted one is used."""
     with peer_at(place, on_read_at(place)) as peer, Client(peer.url, timeout=0.3) as context:
         interrupted = 0
         before = signal.signal(signal.SIGALRM, signal.default_int_handler)
@@ -237,7 +237,7 @@ class Interrupted:
         return self._method(*arguments, **options)
 
 
-def test_the_connection_is_left_by_the_next_request(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_request_after_an_interruption_uses_a_new_connection(monkeypatch: pytest.MonkeyPatch):
     with TcpPeer(on_read) as peer, Client(peer.url) as context:
         assert context.read_holding_registers(6, 1) == [6]
         driver = context._driver
@@ -250,7 +250,7 @@ def test_the_connection_is_left_by_the_next_request(monkeypatch: pytest.MonkeyPa
         assert context.statistics.connects == 2
 
 
-def test_a_client_that_was_closed_meanwhile_is_closed_by_the_next_request(monkeypatch) -> None:
+def test_a_client_closed_during_an_interruption_is_closed_by_the_next_request(monkeypatch) -> None:
     with TcpPeer(on_read) as peer:
         context = Client(peer.url)
         assert context.read_holding_registers(6, 1) == [6]

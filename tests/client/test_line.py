@@ -69,7 +69,7 @@ def test_turning_the_line_counts_as_sending() -> None:
         (rtu("01 84 02"), "function 4 was answered, not 3"),
     ],
 )
-def test_what_answers_another_request_does_not_end_the_wait_and_is_named_at_its_end(frame, reason):
+def test_an_answer_to_another_request_is_named_in_the_error_at_the_end(frame, reason):
     driver = Driver(LINE, timeout=1)
     batch = driver.ask(5)
     driver.come(frame)

@@ -1,4 +1,4 @@
-"""What is known of a line outlives its client; and a line of which nothing is known."""
+"""The history of a line outlives its client; and lines without a history."""
 
 import gc
 import os
@@ -66,7 +66,7 @@ def test_the_first_answer_after_opening_a_known_line_is_held_for_twice_the_slowe
 
 
 @each_case("url", [LINE, "rtu+tcp://192.0.2.1"])
-def test_a_client_for_each_poll_has_no_value_of_another_request(url: str) -> None:
+def test_new_clients_for_each_poll_take_no_value_of_another_request(url: str) -> None:
     """Of 2 000 answers each 40th is late by 1 to 50 ms, and comes to the next client, too."""
     chance, former, count, late = random.Random(1), None, 0, []
     for _ in range(400):
@@ -113,7 +113,7 @@ def test_an_answer_that_takes_longer_than_20_ms_is_held_for_twice_its_time() -> 
     assert batch.outcomes == [[1]]
 
 
-def test_a_line_that_has_been_open_and_silent_has_no_answer_under_way() -> None:
+def test_after_one_silent_timeout_a_new_line_has_no_answer_under_way() -> None:
     driver = Driver(LINE, is_new=True, timeout=1)
     driver.wait(1)
     exchange(driver, 1, after=0.005)
@@ -121,7 +121,7 @@ def test_a_line_that_has_been_open_and_silent_has_no_answer_under_way() -> None:
 
 @each_case("late", [0.001, 0.004, 0.006, 0.02, 0.05])
 @each_case("is_polled", [True, False])
-def test_an_answer_to_another_program_is_no_value(late: float, is_polled: bool) -> None:
+def test_an_answer_to_another_program_is_not_a_value(late: float, is_polled: bool) -> None:
     """The unit answers each request after 5 ms, and one of another program in between."""
     driver = Driver(LINE, is_new=True, timeout=1)
     start, failures = driver.now, 0
@@ -159,7 +159,7 @@ def test_a_line_is_known_by_its_device_or_converter(tmp_path: Path) -> None:
         assert history_of(parse(one)) is not history_of(parse(other))
 
 
-def test_the_oldest_history_is_dropped_beyond_the_limit() -> None:
+def test_the_oldest_histories_are_dropped_beyond_the_limit() -> None:
     first = history_of(parse("rtu+tcp://host:1"))
     for port in range(1, REMEMBERED + 1):
         history_of(parse(f"rtu+tcp://host:{port}"))
@@ -168,7 +168,7 @@ def test_the_oldest_history_is_dropped_beyond_the_limit() -> None:
     assert history_of(parse("rtu+tcp://host:1")) is not first
 
 
-def test_threads_that_open_a_line_at_once_share_what_is_known() -> None:
+def test_threads_that_open_a_line_at_once_share_its_history() -> None:
     endpoint, histories = parse("rtu+tcp://host"), []
     gate = threading.Barrier(8)
 
@@ -190,7 +190,7 @@ def test_threads_that_open_a_line_at_once_share_what_is_known() -> None:
     assert len(histories[0].pairs_of(1)) == 99
 
 
-def test_the_history_keeps_no_request_alive() -> None:
+def test_the_history_keeps_no_request_in_memory() -> None:
     driver = Driver(LINE, timeout=1)
     driver.ask(pdu.ReadHoldingRegisters(1, 1))
     driver.wait(1)
@@ -201,7 +201,7 @@ def test_the_history_keeps_no_request_alive() -> None:
     assert history.pair(1, 3, 0.0).owed is None
 
 
-def test_a_forked_child_knows_its_lines_by_itself() -> None:
+def test_a_forked_child_has_its_own_histories_of_lines() -> None:
     history = history_of(parse("rtu+tcp://host"))
     child = os.fork()
     if not child:

@@ -1,4 +1,4 @@
-"""How long a line is left alone after a failure, and what is kept of what comes meanwhile."""
+"""How long a line is silent after a failure, and which received bytes are kept meanwhile."""
 
 import math
 
@@ -12,7 +12,7 @@ from tests.support.replies import exchange, time_out
 
 
 def units(driver: Driver) -> list[int]:
-    """Return who was asked."""
+    """Return the units that were asked."""
     return [adu[0] for adu in driver.sent]
 
 
@@ -25,14 +25,14 @@ def learnt(*unit: int) -> Driver:
     return driver
 
 
-def test_a_late_answer_in_another_units_turn_is_dropped_and_starts_the_silence_anew() -> None:
+def test_a_late_answer_during_a_request_to_another_unit_restarts_the_silence() -> None:
     driver = learnt(1, 2)
     time_out(driver, 0, unit=1)
     other = driver.ask(6, unit=2)
     driver.wait_until(1.5)
     driver.come(value(0, unit=1))
     driver.come(value(6, unit=2))
-    driver.wait(0.5)  # it took so much longer than before that it is held
+    driver.wait(0.5)  # the answer took so long that it is held
     assert other.outcomes == [[6]]
     again = driver.ask(7, unit=1)
     driver.wait_until(2.4)
@@ -61,7 +61,7 @@ def send_slowly(driver: Driver, data: bytes, seconds: float) -> None:
 
 
 @pytest.mark.parametrize("data", [b"\x01", b"\x01\x03" * 50])
-def test_a_unit_that_does_not_fall_silent_is_asked_after_one_timeout(data: bytes) -> None:
+def test_a_unit_that_never_becomes_silent_is_asked_after_one_timeout(data: bytes) -> None:
     driver = Driver(LINE, timeout=1)
     time_out(driver, 0)
     batch = driver.ask(6)
@@ -73,7 +73,7 @@ def test_a_unit_that_does_not_fall_silent_is_asked_after_one_timeout(data: bytes
     assert batch.is_done
 
 
-def test_what_is_sent_without_silence_has_its_answer_on_hold() -> None:
+def test_a_request_sent_without_silence_has_its_answer_held() -> None:
     driver = learnt(1)
     time_out(driver, 0)
     for frame, result in ((value(0), InvalidResponse), (b"", [7])):
@@ -97,7 +97,7 @@ def test_a_repetition_does_not_wait_for_ever_for_silence() -> None:
     assert driver.is_at_rest
 
 
-def test_a_caller_that_left_does_not_shorten_the_patience_of_the_next() -> None:
+def test_a_cancelled_caller_does_not_shorten_the_wait_of_the_next() -> None:
     driver = learnt(1)
     time_out(driver, 0)
     leaving = driver.ask(6)
@@ -135,7 +135,7 @@ def test_one_lost_answer_on_a_busy_line_costs_one_timeout(others: tuple[float, f
     assert batch.outcomes == [[3]]
 
 
-def test_the_clock_rests_after_half_an_answer() -> None:
+def test_no_alarm_is_in_the_past_after_half_an_answer() -> None:
     """An alarm that lay in the past would have an event loop spin."""
     for end in ("timeout", "cancelled", "lost"):
         driver = Driver("rtu+tcp://192.0.2.1", timeout=1)
@@ -199,7 +199,7 @@ def test_a_broadcast_waits_for_the_calls_before_it_and_for_no_doubt() -> None:
 
 
 @pytest.mark.parametrize("half", ["01 03 FA 00", "01", "01 83", "01 03 02 00 07 00"])
-def test_half_a_frame_that_was_left_is_not_put_before_the_next_answer(half: str) -> None:
+def test_the_first_half_of_a_frame_is_not_joined_to_the_next_answer(half: str) -> None:
     driver = Driver(LINE, timeout=1)
     driver.ask(1)
     driver.come(bytes.fromhex(half))
@@ -208,13 +208,13 @@ def test_half_a_frame_that_was_left_is_not_put_before_the_next_answer(half: str)
     driver.wait(1.5)
     assert len(driver.sent) == 2
     driver.come(value(2))
-    driver.wait(1)  # what unit 1 owes is another request, so this answer is not believed
+    driver.wait(1)  # unit 1 owes another answer, so this one is not accepted
     assert kinds(batch) == [ModbusTimeoutError]
     exchange(driver, 2, after=1)
 
 
 def test_the_first_600_bytes_of_a_flood_are_kept() -> None:
-    """Of what comes in place of an answer."""
+    """Of the bytes received in place of an answer."""
     pieces = [bytes([0x80 + number]) * 250 for number in range(8)]
     start = b"".join(pieces)[:600]
     driver = Driver(LINE, timeout=1)
@@ -230,7 +230,7 @@ def test_the_first_600_bytes_of_a_flood_are_kept() -> None:
     assert second.outcomes[0].received == start
 
 
-def test_a_late_answer_in_pieces_is_one_and_each_piece_puts_off_the_next_request() -> None:
+def test_a_late_answer_in_pieces_counts_once_and_each_piece_delays_the_next_request() -> None:
     driver = Driver(LINE, timeout=1)
     exchange(driver, 1, after=0.01)
     driver.forget()

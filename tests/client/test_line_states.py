@@ -108,12 +108,12 @@ def repeating() -> Driver:
     driver.wait(1)
     hold(driver, driver.ask(2), 2)
     for number in range(100, 120):
-        driver.wait(1)  # each time it takes twice as long until an answer is checked again
+        driver.wait(1)  # the time until the next check doubles each time
         usual(driver, number)
     return driver
 
 
-def test_asked_and_an_answer_equal_to_the_last_one_to_another_is_held_where_one_came_twice():
+def test_asked_and_an_answer_equal_to_that_of_another_request_is_held_where_one_came_twice():
     for driver, is_held in ((used(), False), (repeating(), True)):
         for number in range(20, 60):
             usual(driver, number)
@@ -129,7 +129,7 @@ def test_asked_and_an_answer_equal_to_the_last_one_to_another_is_held_where_one_
 
 
 def test_asked_and_a_write_of_another_value_to_the_same_cells_is_the_result_at_once() -> None:
-    """Its answer contains no values; where answers came twice, too."""
+    """The answer contains no values; also where answers came twice."""
     driver = repeating()
     write = rtu("01 10 0007 0001")
     for number in (1, 2, 3):
@@ -137,7 +137,7 @@ def test_asked_and_a_write_of_another_value_to_the_same_cells_is_the_result_at_o
         driver.wait(0.01)
         driver.come(write)
         if number == 1:
-            driver.come(write)  # the second one, which nobody awaits
+            driver.come(write)  # the second answer, which has no request
         if number < 3:
             driver.wait(1)
     assert batch.outcomes == [None]
@@ -147,7 +147,7 @@ def test_asked_and_a_write_of_another_value_to_the_same_cells_is_the_result_at_o
     ("seconds", "is_held"), [(0.007, True), (0.008, False), (0.019, False), (0.021, True)]
 )
 def test_asked_and_an_answer_at_an_unusual_time_is_held(seconds: float, is_held: bool) -> None:
-    """Too soon, as a copy that comes while the next request is in flight; or too late."""
+    """Too soon, like a copy that comes during the next request; or too late."""
     driver = used()
     batch = driver.ask(5)
     driver.wait(seconds)
@@ -169,7 +169,7 @@ def test_asked_and_the_first_of_its_length_is_held_if_it_came_sooner_than_all_ot
 
 @pytest.mark.parametrize("data", [value(5)[:-1] + b"\0", rtu("01 03 04 0005 0006"), b""])
 def test_asked_and_a_failure_leads_to_doubt(data: bytes) -> None:
-    """A damaged answer, one that does not fit, none."""
+    """A damaged answer, one that does not fit, or none."""
     driver = used()
     batch = driver.ask(5)
     driver.come(data)
@@ -183,7 +183,7 @@ def test_asked_and_a_failure_leads_to_doubt(data: bytes) -> None:
     hold(driver, batch, 6)
 
 
-def test_asked_and_a_caller_that_left_leads_to_doubt() -> None:
+def test_asked_and_a_cancelled_caller_leads_to_doubt() -> None:
     driver = used()
     driver.cancel(driver.ask(5))
     left_at = driver.now
@@ -195,7 +195,7 @@ def test_asked_and_a_caller_that_left_leads_to_doubt() -> None:
 
 @pytest.mark.parametrize("is_held", [False, True])
 @pytest.mark.parametrize("frame", [value(7, unit=2), rtu("01 04 02 0007")])
-def test_a_frame_of_another_does_not_end_the_wait(frame: bytes, is_held: bool) -> None:
+def test_asked_and_a_frame_of_another_unit_keeps_the_wait(frame: bytes, is_held: bool) -> None:
     driver = in_doubt() if is_held else used()
     batch = driver.ask(5)
     driver.wait(0.01)
@@ -243,7 +243,7 @@ def test_hold_and_another_frame_fails_the_request_and_leads_to_doubt(frame: byte
 
 
 @pytest.mark.parametrize("noise", [b"\1\3\xff", b"\1\3\3\0"])
-def test_hold_and_noise_like_the_beginning_of_an_answer_is_no_other_answer(noise: bytes) -> None:
+def test_hold_and_noise_like_an_answer_does_not_fail_the_request(noise: bytes) -> None:
     driver = in_doubt()
     batch = driver.ask(6)
     driver.wait(0.01)
@@ -252,7 +252,7 @@ def test_hold_and_noise_like_the_beginning_of_an_answer_is_no_other_answer(noise
     assert batch.outcomes == [[6]]
 
 
-def test_an_answer_behind_noise_like_its_beginning_is_held_from_when_it_came() -> None:
+def test_hold_and_an_answer_after_noise_like_its_beginning_is_held_from_its_arrival() -> None:
     driver = in_doubt()
     batch = driver.ask(6)
     driver.wait(0.01)
@@ -268,7 +268,7 @@ def test_hold_of_twice_the_slowest_answer_of_this_length_ends_the_doubt() -> Non
     driver.come(rtu("01 03 04 0005 0006"))
     driver.wait(0.6)
     assert slow.outcomes == [[5, 6]]
-    driver.wait(1)  # for a pause as long as twice the slowest tells nothing
+    driver.wait(1)  # a pause of twice the slowest answer proves nothing here
     driver.ask(5)
     driver.wait(2)
     hold(driver, driver.ask(6), 6)  # the slowest of this length took 10 ms
@@ -284,7 +284,7 @@ def test_hold_of_twice_the_slowest_answer_of_this_length_ends_the_doubt() -> Non
 
 
 @pytest.mark.parametrize("is_own", [True, False])
-def test_hold_and_the_end_of_its_time(is_own: bool) -> None:
+def test_hold_in_doubt_and_the_end_of_the_time(is_own: bool) -> None:
     """The answer took 0.6 s, and HOLD would last for 1.2 s."""
     driver = Driver(LINE, timeout=1, retries=int(is_own))
     batch = driver.ask(5)
@@ -310,14 +310,14 @@ def test_hold_and_the_end_of_its_time(is_own: bool) -> None:
     assert not driver.connection.in_flight  # the silence has ended the doubt
 
 
-def test_hold_without_doubt_and_the_end_of_its_time() -> None:
+def test_hold_without_doubt_and_the_end_of_the_time() -> None:
     driver = used()
     batch = driver.ask(20)
     driver.wait(0.9)
     hold(driver, batch, 20, seconds=0.09)
 
 
-def test_doubt_and_a_frame_of_it_count_the_silence_anew() -> None:
+def test_doubt_and_a_frame_of_the_unit_restarts_the_silence() -> None:
     driver = used()
     time_out(driver, 5)
     driver.ask(6)
@@ -331,7 +331,7 @@ def test_doubt_and_a_frame_of_it_count_the_silence_anew() -> None:
 
 
 @each_case("data", ["01 03", "01 83", "01", "FF 01 03 02", "09 03 02 00 01"])
-def test_doubt_and_the_beginning_of_an_answer_count_the_silence_anew(data: str) -> None:
+def test_doubt_and_the_beginning_of_an_answer_restarts_the_silence(data: str) -> None:
     driver = used()
     time_out(driver, 5)
     driver.ask(6)
@@ -343,7 +343,7 @@ def test_doubt_and_the_beginning_of_an_answer_count_the_silence_anew(data: str) 
 
 
 @each_case("data", ["55", "FF FF FF", "02 03 02 00", "09 03 00 00 00 02", "01 04 02", "03"])
-def test_doubt_and_bytes_of_others_do_not_count_the_silence_anew(data: str) -> None:
+def test_doubt_and_bytes_of_other_units_do_not_restart_the_silence(data: str) -> None:
     driver = used()
     time_out(driver, 5)
     silent_from = driver.now
@@ -355,8 +355,8 @@ def test_doubt_and_bytes_of_others_do_not_count_the_silence_anew(data: str) -> N
     assert driver.times[1] == pytest.approx(silent_from + SILENCE)
 
 
-def test_doubt_and_a_late_frame_of_its_unit_count_the_silence_anew() -> None:
-    """The unit still works through earlier requests, which are of other functions, too."""
+def test_doubt_and_a_late_frame_of_its_unit_restarts_the_silence() -> None:
+    """The unit still works through earlier requests, also those of other functions."""
     driver = used()
     driver.ask(pdu.ReadInputRegisters(5, 1))
     driver.wait(1)
@@ -372,7 +372,7 @@ def test_doubt_and_a_late_frame_of_its_unit_count_the_silence_anew() -> None:
     assert driver.times[2] == pytest.approx(heard_at + SILENCE)
 
 
-def test_hold_and_a_late_frame_of_its_unit_begin_again() -> None:
+def test_hold_and_a_late_frame_of_the_unit_begins_again() -> None:
     driver = used()
     driver.ask(pdu.ReadInputRegisters(5, 1))
     driver.wait(1)
@@ -404,7 +404,7 @@ def test_an_answer_is_held_once_in_ten_timeouts() -> None:
     (value(6), True), (value(6), False), (value(7), True), (value(7), False),
 ])  # fmt: skip
 def test_a_frame_exactly_at_the_end_of_hold(frame: bytes, is_first: bool) -> None:
-    """HOLD lasts until its end: what is read before the alarm is in it, what is read later not."""
+    """Bytes read before the alarm are in HOLD, bytes read later are not."""
     driver = in_doubt()
     batch = driver.ask(6)
     driver.come(value(6))
@@ -438,7 +438,7 @@ def test_doubt_continues_over_another_connection() -> None:
     hold(driver, batch, 6)
 
 
-def test_a_connection_that_ends_in_hold_fails_what_is_held() -> None:
+def test_a_connection_that_ends_during_hold_fails_the_request() -> None:
     driver = in_doubt()
     batch = driver.ask(6)
     driver.come(value(6))
@@ -476,7 +476,7 @@ def test_the_end_of_a_connection_in_hold_ends_the_doubt_if_silence_follows() -> 
     assert batches[1].outcomes == [[7]]
 
 
-def test_a_caller_that_leaves_in_hold_leaves_doubt() -> None:
+def test_a_caller_that_is_cancelled_during_hold_leaves_doubt() -> None:
     driver = in_doubt()
     batch = driver.ask(6)
     driver.come(value(6))
@@ -489,7 +489,7 @@ def test_a_caller_that_leaves_in_hold_leaves_doubt() -> None:
 
 @each_case("timeout", [0.001, 0.5, 86_400])
 def test_a_timeout_that_is_changed_ends_each_wait(timeout: float) -> None:
-    """In DOUBT, ASKED and HOLD; none of them becomes endless."""
+    """In DOUBT, ASKED and HOLD; no wait becomes infinite."""
     driver = used()
     driver.ask(5)
     driver.wait(1)
@@ -506,8 +506,8 @@ def test_a_timeout_that_is_changed_ends_each_wait(timeout: float) -> None:
 
 
 @each_case("url", [LINE, TCP])
-def test_a_clock_that_stands_still_makes_no_wait_endless(url: str) -> None:
-    """Requests, answers and frames that nobody awaits, all at one moment."""
+def test_a_clock_that_stands_still_makes_no_wait_infinite(url: str) -> None:
+    """Requests, answers and frames without a request, all at one time."""
     driver = Driver(url, timeout=1)
     for number in range(50):
         exchange(driver, number)
@@ -521,7 +521,7 @@ def test_a_clock_that_stands_still_makes_no_wait_endless(url: str) -> None:
 
 
 @each_case(("data", "late"), [(b"", 0), (value(1), 1), (value(1) + value(1), 2)])
-def test_answers_beside_the_first_are_counted(data: bytes, late: int) -> None:
+def test_frames_after_the_answer_are_counted_as_late(data: bytes, late: int) -> None:
     driver = Driver(LINE, timeout=1)
     batch = driver.ask(1)
     driver.come(value(1) + data)
@@ -536,7 +536,7 @@ def test_a_shift_that_begins_with_a_slow_answer_ends_with_the_next_one() -> None
     driver.wait(0.98)
     driver.come(value(4))  # of a request long ago
     driver.wait(0.03)
-    assert late.outcomes == [[4]]  # HOLD would take until 1.96 s
+    assert late.outcomes == [[4]]  # without the limit HOLD would take until 1.96 s
     behind = driver.ask(6)
     driver.wait(0.01)
     driver.come(value(5))  # each answer comes one request too late

@@ -45,7 +45,7 @@ def confirmed_by_itself(driver: Driver) -> None:
 
 
 def taken_for_a_value(driver: Driver) -> None:
-    """Check that an answer which is equal to its request is its result."""
+    """Check that an answer equal to its request is the result."""
     batch = driver.ask(COILS)
     driver.come(driver.sent[-1])
     assert len(batch.outcomes[0]) == 24
@@ -57,7 +57,7 @@ def with_setting(url: str, setting: str) -> str:
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("stray", STRAYS[:2])
-def test_an_echo_is_logged_once_and_harms_no_read(world: World, scheme, stray, caplog) -> None:
+def test_an_echo_is_logged_once_and_changes_no_read(world: World, scheme, stray, caplog) -> None:
     with world.client_of(scheme, returning(scheme, stray=stray), timeout=1) as client:
         assert [read(client, address) for address in range(30)] == list(range(30))
         assert client.statistics.echoes == 1
@@ -70,7 +70,7 @@ def test_an_echo_is_logged_once_and_harms_no_read(world: World, scheme, stray, c
 
 @pytest.mark.parametrize("setting", ["", "echo=1"])
 def test_no_echo_is_the_value_of_a_read(world: World, setting: str) -> None:
-    """Nothing but the echo comes, of a request that is a possible answer."""
+    """Only the echo comes, of a request that is a possible answer."""
     peer = world.peer("rtu", returning("rtu", answers=False))
     with world.connect(with_setting(peer.url, setting), timeout=0.1) as client:
         for request in (COILS, COILS, BOTH, COILS):
@@ -89,7 +89,7 @@ def test_the_first_answer_that_is_equal_to_its_request_is_invalid() -> None:
         assert "echo=True or False" in str(batch.outcomes[0])
 
 
-def test_a_value_that_is_equal_to_its_request_is_taken_where_no_echo_is() -> None:
+def test_a_value_equal_to_its_request_is_accepted_where_there_is_no_echo() -> None:
     driver = Driver(LINE, timeout=1)
     exchange(driver, 1)
     taken_for_a_value(driver)
@@ -107,7 +107,7 @@ TELLING = [
 
 @each_case(("request_", "body", "result"), TELLING)
 @each_case("url", [LINE, ASCII])
-def test_frames_that_can_be_no_answer_tell_of_an_echo(request_, body, result, url) -> None:
+def test_a_return_that_cannot_be_the_answer_shows_an_echo(request_, body, result, url) -> None:
     driver = Driver(url, timeout=1)
     batch = driver.ask(request_)
     driver.come(driver.sent[-1])
@@ -120,7 +120,7 @@ def test_frames_that_can_be_no_answer_tell_of_an_echo(request_, body, result, ur
 
 @each_case(("request_", "body", "result"), SEVERAL)
 @each_case("url", [LINE, ASCII])
-def test_a_write_of_several_cells_that_comes_back_shows_no_echo(request_, body, result, url):
+def test_a_returned_write_of_several_cells_shows_no_echo(request_, body, result, url):
     """Some devices answer functions 15 and 16 with the whole request."""
     make = rtu if url == LINE else ascii_frame
     driver = Driver(url, timeout=1)
@@ -141,7 +141,7 @@ def test_a_write_of_several_cells_that_comes_back_shows_no_echo(request_, body, 
 
 
 @each_case("request_", [WRITE, pdu.WriteCoil(1, True), pdu.Diagnostics(0, b"\1\2")])
-def test_a_frame_that_may_be_its_own_answer_tells_nothing(request_: Any) -> None:
+def test_a_returned_frame_that_may_be_the_answer_does_not_show_an_echo(request_: Any) -> None:
     driver = Driver(LINE, timeout=1)
     for _ in range(2):
         batch = driver.ask(request_)
@@ -153,7 +153,7 @@ def test_a_frame_that_may_be_its_own_answer_tells_nothing(request_: Any) -> None
 
 
 @each_case("url", [LINE, "rtu+tcp://192.0.2.1", ASCII])
-def test_an_echo_is_found_out_behind_requests_of_which_nothing_came(url: str) -> None:
+def test_an_echo_is_found_after_requests_without_any_received_byte(url: str) -> None:
     """The converter had no power, or the line was open."""
     make = ascii_frame if url == ASCII else rtu
     driver = Driver(url, timeout=1)
@@ -167,7 +167,7 @@ def test_an_echo_is_found_out_behind_requests_of_which_nothing_came(url: str) ->
     assert driver.statistics.echoes == 1
 
 
-def test_a_read_that_comes_back_is_no_answer_where_no_echo_is() -> None:
+def test_a_returned_read_is_no_answer_where_there_is_no_echo() -> None:
     """Once; and it shows no time in which the unit answers."""
     driver = Driver(LINE, timeout=1)
     exchange(driver, 1, after=0.1)
@@ -196,13 +196,13 @@ def test_an_echo_that_ends_is_noticed() -> None:
     confirmed_by_itself(driver)
 
 
-def test_a_new_connection_may_be_without_an_echo() -> None:
+def test_a_new_connection_may_have_no_echo() -> None:
     driver = echoing("rtu+tcp://192.0.2.1")
     driver.reconnect()
     confirmed_by_itself(driver)
 
 
-def test_half_an_echo_is_not_taken_over_to_a_new_connection() -> None:
+def test_the_first_half_of_an_echo_is_not_joined_to_bytes_of_a_new_connection() -> None:
     driver = echoing("rtu+tcp://192.0.2.1")
     driver.ask(6)
     driver.come(driver.sent[-1][:5])
@@ -241,7 +241,7 @@ def test_the_echo_of_a_write_does_not_confirm_it(stray: bytes, is_set: bool) -> 
 @each_case("stray", STRAYS)
 @each_case("pause", [None, 0.01])
 @each_case("is_set", [False, True])
-def test_a_write_is_confirmed_by_what_follows_its_echo(stray, pause, is_set) -> None:
+def test_a_write_is_confirmed_by_the_frame_after_its_echo(stray, pause, is_set) -> None:
     driver = known(is_set)
     for _ in range(2):
         batch = driver.ask(WRITE)
@@ -260,7 +260,7 @@ def test_a_write_is_confirmed_by_what_follows_its_echo(stray, pause, is_set) -> 
 
 
 @each_case("is_set", [False, True])
-def test_an_echo_in_pieces(is_set: bool) -> None:
+def test_an_echo_in_pieces_is_recognised(is_set: bool) -> None:
     driver = known(is_set)
     for number in range(5):
         batch = driver.ask(number)
@@ -272,7 +272,7 @@ def test_an_echo_in_pieces(is_set: bool) -> None:
 
 
 @each_case("is_set", [False, True])
-def test_an_answer_behind_the_echo_of_a_request_that_is_a_possible_answer(is_set: bool) -> None:
+def test_an_answer_is_found_after_an_echo_that_is_itself_a_possible_answer(is_set: bool) -> None:
     driver = known(is_set)
     bits = [True] + [False] * 23
     for _ in range(2):
@@ -281,7 +281,7 @@ def test_an_answer_behind_the_echo_of_a_request_that_is_a_possible_answer(is_set
         assert batch.outcomes == [bits]
 
 
-def test_an_echo_behind_much_noise_does_not_confirm_a_write() -> None:
+def test_an_echo_after_much_noise_does_not_confirm_a_write() -> None:
     driver = Driver(f"{LINE}&echo=1", timeout=1)
     for noise in (b"\xff" * 9, b"\xff" * 300):
         batch = driver.ask(WRITE)
@@ -294,7 +294,7 @@ def test_an_echo_behind_much_noise_does_not_confirm_a_write() -> None:
 
 
 @pytest.mark.parametrize("scheme", ["rtu", "ascii", "rtu+tcp"])
-def test_with_the_option_nothing_is_learned(world: World, scheme: str) -> None:
+def test_with_the_option_echo_no_echo_is_searched_for(world: World, scheme: str) -> None:
     def writes_too(request: bytes, write: Write) -> None:
         is_write = (request[3:5] == b"06") if scheme == "ascii" else request[1] == 6
         write(request)
@@ -308,13 +308,13 @@ def test_with_the_option_nothing_is_learned(world: World, scheme: str) -> None:
         assert client.statistics.timeouts == 0
 
 
-def test_without_an_echo_that_is_set_a_write_that_comes_back_is_confirmed() -> None:
+def test_with_echo_set_to_0_a_returned_write_is_its_answer() -> None:
     driver = Driver(f"{LINE}&echo=0", timeout=1)
     for number in (1, 2):
         batch = driver.ask(number)
         driver.come(driver.sent[-1], value(number))
         driver.wait(0.1)
-        assert batch.outcomes == [[number]]  # what comes back is noise
+        assert batch.outcomes == [[number]]  # the returned frame is noise
     confirmed_by_itself(driver)
     taken_for_a_value(driver)
     assert driver.statistics.echoes == 0

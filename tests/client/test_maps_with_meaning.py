@@ -91,7 +91,7 @@ def test_parts_that_are_written_at_the_same_time_are_all_written(served: tuple[D
     assert device_.mapping.holding_registers[2] == 0xFFFF
 
 
-def test_a_mask_that_is_refused_otherwise_is_raised() -> None:
+def test_a_refusal_of_a_masked_write_other_than_exception_1_is_raised() -> None:
     device_ = device(handlers={pdu.MaskWriteRegister: refuse(ServerDeviceBusy)})
     with Server(device_).background("tcp://127.0.0.1:0") as serving:
         plc = Client(serving.urls[0])
@@ -118,7 +118,7 @@ def test_parts_of_several_registers_are_written_by_one_call(served: tuple[Device
 @pytest.mark.parametrize("served", [True], indirect=True)
 @pytest.mark.parametrize("at", range(10))
 def test_a_cancelled_write_of_parts_delays_no_other(served, at) -> None:
-    """At any trace of its frames: another task, or thread, may change registers then."""
+    """Cancelled at any trace of its frames: another task, or thread, may write registers then."""
     device_, url = served
     calls = iter(range(1000))
 

@@ -21,7 +21,7 @@ LINES = ["rtu", "rtu+tcp", "ascii", "ascii+tcp"]
 
 
 @pytest.mark.parametrize("scheme", LINES)
-def test_unit_0_answers_reads_and_writes_if_it_is_no_broadcast(world: World, scheme: str) -> None:
+def test_unit_0_answers_reads_and_writes_if_broadcast_is_false(world: World, scheme: str) -> None:
     """pymodbus#2378: the only device of a line answers as unit 0, to tell its address."""
     peer = world.peer(scheme, on_read_at(scheme))
     with world.connect(peer.url, unit=0, broadcast=False, timeout=0.5) as plc:
@@ -103,7 +103,7 @@ def test_no_source_has_a_port_with_ids_ignore_over_udp() -> None:
 
 
 def closing(after: float, scheme: str) -> Any:
-    """Return what answers each read, and closes the connection so many seconds later."""
+    """Return a function that answers each read, and closes the connection so many seconds later."""
 
     def on_request(request: bytes, write: Write) -> None:
         write(answer(request, scheme))
@@ -117,7 +117,7 @@ def closing(after: float, scheme: str) -> Any:
 def test_a_device_that_closes_after_each_answer_is_read_without_retries(
     world: World, scheme: str, after: float
 ) -> None:
-    """The close comes when the next request is under way, when none is, and during HOLD."""
+    """The connection ends during the next request, without one, and during HOLD."""
     peer = world.peer(scheme, closing(after, scheme))
     with world.connect(peer.url, timeout=1) as plc:
         for at in range(30):
@@ -176,7 +176,7 @@ def test_an_idle_connection_is_closed_and_made_again(world: World) -> None:
     assert states.count((State.DISCONNECTED, None)) == 2  # which is no failure
 
 
-def test_watch_closes_an_idle_connection_between_its_polls(world: World) -> None:
+def test_watch_closes_idle_connections_between_its_polls(world: World) -> None:
     peer = world.peer("tcp", on_read)
     times: list[float] = []
 
@@ -251,7 +251,7 @@ def test_a_frame_of_another_length_is_shown_and_is_the_answer_to_a_raw_request(
 
 
 @pytest.mark.parametrize("scheme", ["rtu", "rtu+tcp"])
-def test_bytes_behind_the_echo_of_a_write_are_ignored_on_lines(world: World, scheme: str) -> None:
+def test_bytes_after_the_echo_of_a_write_are_ignored_on_lines(world: World, scheme: str) -> None:
     def on_request(request: bytes, write: Write) -> None:
         write(rtu(f"{request[:-2].hex()} 06"))
 

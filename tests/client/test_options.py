@@ -146,7 +146,7 @@ def test_wrong_options_have_a_hint(place: str, option: str, name: str, makers: l
             make(place, **{option: 1})
 
 
-def test_an_option_that_nothing_is_like() -> None:
+def test_an_unknown_option_unlike_any_other_is_refused_with_the_list_of_options() -> None:
     with pytest.raises(TypeError, match=r"'colour' must be one of .*statistics$"):
         Client(f"tcp://{HOST}", colour=1)  # type: ignore[call-arg]
 

@@ -17,7 +17,7 @@ POINTS = RegisterMap(Point(f"p{at}", H, at) for at in range(20))
 
 
 class Meter:
-    """A device whose registers hold their addresses; what it lacks is refused with exception 2."""
+    """A device whose registers hold their addresses; missing ones are refused with exception 2."""
 
     def __init__(self, *missing: int) -> None:
         self.missing = set(missing)
@@ -51,7 +51,7 @@ def good(results: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in results.items() if not isinstance(value, Exception)}
 
 
-def test_a_hole_costs_ten_requests_once(world: World) -> None:
+def test_a_refused_register_costs_ten_requests_once(world: World) -> None:
     device = Meter(7)
     with world.client_of("tcp", device) as plc:
         counts = []
@@ -65,7 +65,7 @@ def test_a_hole_costs_ten_requests_once(world: World) -> None:
         (hole,) = plc.unreadable(POINTS)
         assert (hole.name, hole.table, hole.cells) == ("p7", H, range(7, 8))
         assert hole.device == f"{plc.url}, unit {plc.unit}"
-        # Other names of the same map profit from it.
+        # The refusals are used for other names of the same map.
         results = plc.read_map(POINTS, ["p6", "p7", "p8"], return_exceptions=True)
         assert good(results) == {"p6": 6, "p8": 8}
         assert device.taken() == 2
@@ -90,7 +90,7 @@ def test_without_return_exceptions_the_point_is_named(world: World) -> None:
         assert device.taken() == 1
 
 
-def test_a_hole_is_found_although_another_request_succeeds(world: World) -> None:
+def test_a_refused_register_is_found_although_another_request_succeeds(world: World) -> None:
     points = RegisterMap([Point("far", H, 900), *(Point(f"p{at}", H, at) for at in range(20))])
     device = Meter(7)
     with world.client_of("tcp", device) as plc:
@@ -107,7 +107,7 @@ def test_nothing_more_is_sent_after_the_first_failure(world: World) -> None:
         assert device.asked == [(0, 1), (10, 1)]
 
 
-def test_a_plan_learns_for_each_device_by_itself(world: World) -> None:
+def test_a_plan_keeps_the_refusals_of_each_device_apart(world: World) -> None:
     plan = Plan({f"p{at}": (H, at) for at in range(20)})
     one, other = Meter(7), Meter(11)
     with (
@@ -117,7 +117,7 @@ def test_a_plan_learns_for_each_device_by_itself(world: World) -> None:
         for _ in range(3):
             assert len(good(first.read_many(plan, return_exceptions=True))) == 19
             assert isinstance(second.read_many(plan, return_exceptions=True)["p11"], Exception)
-        # The same unit by another handle knows already, and another unit does not.
+        # Another handle of the unit has the refusals, and another unit does not.
         one.taken()
         first.for_unit(1).read_many(plan, return_exceptions=True)
         assert one.taken() == 2
@@ -137,8 +137,8 @@ def test_a_plan_learns_for_each_device_by_itself(world: World) -> None:
         ]
 
 
-def test_another_client_knows_nothing(world: World) -> None:
-    """A map and a plan are what they were, whatever one client was told."""
+def test_another_client_has_no_refusals_of_the_first_one(world: World) -> None:
+    """A map and a plan do not change because of the answers to one client."""
     device = Meter(7)
     peer = world.peer("tcp", device)
     with world.connect(peer.url) as plc:
@@ -168,7 +168,7 @@ def test_items_that_are_no_plan_are_read_as_they_are(world: World) -> None:
         assert device.taken() == 1
 
 
-def test_silence_is_no_hole(world: World) -> None:
+def test_silence_is_not_taken_for_a_refusal(world: World) -> None:
     device = Meter()
     device.silent.add(7)
     with world.client_of("tcp", device, timeout=0.5) as plc:
@@ -178,7 +178,7 @@ def test_silence_is_no_hole(world: World) -> None:
             assert device.taken() == 1
 
 
-def test_holes_are_logged_once(world: World, caplog: pytest.LogCaptureFixture) -> None:
+def test_refusals_are_logged_once(world: World, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "libmodbus_py.client.handle")
     with world.client_of("tcp", Meter(7)) as plc:
         for _ in range(3):

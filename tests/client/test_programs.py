@@ -10,7 +10,7 @@ from tests.support.clients import ALL
 from tests.support.peers import LinePeer, peer_at
 from tests.support.reads import on_read_at
 
-# Each is a program of its own, so that no thread of pytest is forked.
+# Each program is a process of its own, so that no thread of pytest is forked.
 pytestmark = pytest.mark.slow
 
 HEAD = """
@@ -46,7 +46,7 @@ reply = on_read_at(SCHEME)
 
 
 def ended(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run Python to its end."""
+    """Run Python to its end; return the output."""
     command = [sys.executable, *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=55, check=False)
 
@@ -160,7 +160,7 @@ asyncio.run(main())
 
 
 @pytest.mark.parametrize("kind", ["AsyncClient", "Client"])
-def test_a_child_gets_states_when_it_uses_the_client_not_while_it_is_forked(kind) -> None:
+def test_a_child_gets_no_states_from_the_fork_itself(kind) -> None:
     run(f"""
 def ask(plc):
     asked = plc.read_holding_registers(1, 1)
@@ -250,7 +250,7 @@ print("ok")
 
 @ALL
 @pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu"])
-def test_no_descriptor_left_is_a_connection_error_that_passes(scheme: str, kind: str) -> None:
+def test_a_lack_of_descriptors_is_an_error_until_they_are_free(scheme: str, kind: str) -> None:
     with peer_at(scheme, on_read_at(scheme)) as peer:
         process = ended("-c", PROGRAM, peer.url, kind)
     assert process.stdout == "ok\n", process.stderr
@@ -279,7 +279,7 @@ asyncio.run(main())
 
 @pytest.mark.parametrize("how", ["globals", "circle", "waiting"])
 @pytest.mark.parametrize("warn", [True, False])
-def test_a_program_that_ends_with_open_clients_ends_quietly(warn: bool, how: str) -> None:
+def test_a_program_that_ends_with_open_clients_prints_nothing(warn: bool, how: str) -> None:
     options = ["-W", "default"] if warn else []
     with Server(Device(Mapping(coils=8))).background("tcp://127.0.0.1:0") as running:
         process = ended(*options, "-c", LEFT_OPEN, running.urls[0], how)
@@ -291,8 +291,8 @@ def test_a_program_that_ends_with_open_clients_ends_quietly(warn: bool, how: str
     assert "Traceback" not in process.stderr
 
 
-def test_a_port_is_opened_that_a_killed_program_left_as_it_was() -> None:
-    """Its settings are those that are to be set, and a pseudo-terminal refuses one of them."""
+def test_a_port_with_the_settings_of_a_killed_program_is_opened() -> None:
+    """The port has these settings already, and a pseudo-terminal refuses one of them."""
     with LinePeer(on_read_at("rtu")) as unit:
         program = (
             "import os, sys, libmodbus_py as m\n"

@@ -42,7 +42,7 @@ def test_repetitions_keep_the_spacing_of_requests() -> None:
 
 
 def values(driver: Driver) -> list[int]:
-    """Return what the writes that were sent write."""
+    """Return the values of the writes that were sent."""
     at = 7 if driver.has_ids else 1
     return [int.from_bytes(adu[at + 3 : at + 5], "big") for adu in driver.sent if adu[at] == 6]
 
@@ -108,7 +108,7 @@ def test_no_write_is_sent_before_the_answer_to_the_read_before_it_is_decoded() -
     assert driver.is_at_rest
 
 
-def test_what_waits_behind_a_repetition_fails_with_it_when_no_connection_is_made() -> None:
+def test_requests_that_wait_for_a_repetition_fail_with_it_when_no_connection_is_made() -> None:
     for url in (LINE, TCP):
         driver = Driver(url, timeout=1, retries=3)
         batch = driver.ask(1, 2, 3, go_on=True)
@@ -145,7 +145,7 @@ def test_repetitions_come_to_an_end(url: str, trouble: str) -> None:
             driver.reconnect()
         elif trouble == "invalid":
             driver.come(reply(driver, "04 02 0005"))
-            if url != TCP:  # there the answer may still come
+            if url != TCP:  # on TCP the answer may still come
                 driver.wait(1)
         else:
             driver.wait(1)
@@ -241,7 +241,7 @@ def test_nothing_more_of_a_batch_is_sent_once_a_refusal_was_received() -> None:
     assert driver.is_at_rest
 
 
-def test_requests_behind_a_failure_are_not_repeated() -> None:
+def test_requests_after_a_failure_are_not_repeated() -> None:
     driver = Driver(retries=5, busy_retries=5)
     batch = driver.ask(0, 1, 2, one_by_one=False)
     driver.come(refusal(driver, 6, 2), refusal(driver, 2, 1))

@@ -29,7 +29,7 @@ EVENTS = st.lists(
 def test_no_schedule_gives_a_wrong_value_blocks_a_caller_or_leaks_a_slot(
     url: str, events: list[tuple[str, int]], retries: int, spacing: float
 ) -> None:
-    """On a line no answer comes later than two timeouts after its request: who may wait so long?"""
+    """On a line no answer comes later than two timeouts after its request."""
     driver = Driver(url, timeout=1, retries=retries, busy_retries=1, request_spacing=spacing)
     batches: list[tuple[Batch, list[int]]] = []
     number = 0
@@ -74,7 +74,7 @@ def test_no_schedule_gives_a_wrong_value_blocks_a_caller_or_leaks_a_slot(
 
 
 def happen(driver: Driver, event: str, choice: int) -> None:
-    """Something comes in, whole or in pieces."""
+    """Deliver bytes, complete or in pieces."""
     is_line = not driver.has_ids
     # On a line only the last request can be answered at the right time.
     at = -1 if is_line else -1 - choice % min(8, len(driver.sent))
@@ -91,7 +91,7 @@ def happen(driver: Driver, event: str, choice: int) -> None:
     }[event]()
     cut = choice % len(data)
     pieces = [data] if driver.is_udp else [data[:cut], data[cut:]]
-    pieces = [piece for piece in pieces if piece]  # no port reads nothing
+    pieces = [piece for piece in pieces if piece]  # a port never returns an empty piece
     if (
         is_line
         and event in ("answer", "late", "refuse", "busy")

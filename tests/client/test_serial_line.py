@@ -51,7 +51,7 @@ def with_echo(request: bytes) -> list[bytes]:
     return [request, ANSWER]
 
 
-def test_no_echo_where_one_was_announced_does_no_harm(connect: Connect) -> None:
+def test_an_expected_echo_that_does_not_come_changes_nothing(connect: Connect) -> None:
     with (
         FakeUnit(lambda request: [ANSWER]) as unit,
         connect(f"rtu://{unit.path}?echo=1&timeout=0.2") as context,
@@ -85,7 +85,7 @@ def step(line: str) -> str:
     ("mode", "way"), [("up", "set written cleared"), ("down", "cleared written set")]
 )
 @pytest.mark.parametrize("kind", ["rtu", "ascii"])
-def test_rts_is_turned_while_a_request_goes_out(tmp_path, mode, way, kind) -> None:
+def test_rts_is_set_while_a_request_is_sent(tmp_path, mode, way, kind) -> None:
     """A pty has no RTS, so the system calls themselves are looked at."""
     answer = with_echo(b":")[1] if kind == "ascii" else ANSWER
     with FakeUnit(lambda request: [answer]) as unit:
@@ -152,7 +152,7 @@ def test_a_delimiter_that_the_device_has_already_is_an_option(in_url: bool, kind
 
 
 @ALL
-def test_a_byte_right_behind_a_flush_does_not_reopen_the_port(kind: str, monkeypatch) -> None:
+def test_a_byte_right_after_a_flush_does_not_reopen_the_port(kind: str, monkeypatch) -> None:
     """As a line picks up while nobody talks; each opening locks the port."""
     lock, flush, locks = fcntl.flock, termios.tcflush, []
 
@@ -180,7 +180,7 @@ def test_a_byte_right_behind_a_flush_does_not_reopen_the_port(kind: str, monkeyp
         assert client.statistics.lost == 0
 
 
-def test_an_accepted_delimiter_is_used_from_then_on_and_given_back_at_a_restart() -> None:
+def test_an_accepted_delimiter_is_used_until_a_restart() -> None:
     driver = Driver(ASCII)
     driver.ask(pdu.Diagnostics(3, b"#\0"))
     assert driver.sent[-1] == b":010800032300D1\r\n"

@@ -36,7 +36,7 @@ READS: list[Callable[[Any], dict[str, Any]]] = [
 
 
 def silent_about(*addresses: int) -> Callable[[bytes, Write], None]:
-    """Return what answers a read over TCP with its address, except those of some addresses."""
+    """Return a function that answers reads over TCP with their address, except for some."""
 
     def on_request(request: bytes, write: Write) -> None:
         if int.from_bytes(address_of(request, "tcp"), "big") not in addresses:
@@ -107,7 +107,7 @@ def test_a_device_that_is_silent_about_its_first_registers_is_asked_for_the_othe
             assert values(results) == {"p1", "p2", "p3", "p4", "p5"}
 
 
-def test_a_device_that_answered_is_asked_for_all(world: World) -> None:
+def test_a_device_that_answered_before_is_asked_for_all(world: World) -> None:
     with world.client_of("tcp", silent_about(20, 40), timeout=0.5) as plc, world.lasting(1.0):
         results = plc.read_many(ITEMS, return_exceptions=True)
     assert values(results) == {"p0", "p1", "p3", "p5"}
@@ -152,13 +152,13 @@ def made(max_pause: float = 30.0, **options: Any) -> Reconnecting:
 
 
 def fail(connection: Reconnecting, now: float) -> float:
-    """An attempt; gives the pause after it."""
+    """Note a failed attempt; return the pause after it."""
     connection.connecting()
     connection.failed(REFUSED, now)
     return connection.next_attempt - now
 
 
-def test_requests_without_time_for_the_next_attempt_get_the_reason() -> None:
+def test_requests_without_time_for_the_next_attempt_raise_the_reason_of_the_last() -> None:
     connection = made()
     assert connection.refusal(0, 1) is None
     for _ in range(5):
@@ -172,7 +172,7 @@ def test_requests_without_time_for_the_next_attempt_get_the_reason() -> None:
     assert connection.refusal(100, 101) is None  # it may come in time
 
 
-def test_states_come_with_their_reasons_and_closed_is_the_last() -> None:
+def test_states_are_reported_with_their_reasons_and_closed_is_the_last() -> None:
     states: list[tuple[State, Any]] = []
     notices = Notices()
     connection = made(on_state=lambda state, error: states.append((state, error)), notices=notices)

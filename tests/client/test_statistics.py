@@ -73,7 +73,7 @@ def test_repetitions_have_results_of_their_own(world: World) -> None:
         check(plc.statistics)
 
 
-def test_requests_without_a_caller_are_cancelled(world: World) -> None:
+def test_requests_of_cancelled_callers_are_counted_as_cancelled(world: World) -> None:
     """The first failure ends a batch; the answers to the others come, and are dropped."""
     with world.client_of("tcp", answering(refused, good), timeout=1, max_in_flight=4) as plc:
         with pytest.raises(ModbusError):
@@ -149,7 +149,7 @@ def test_answer_times_are_those_that_passed(world: World, seconds: float) -> Non
         check(statistics)
 
 
-def test_connecting_is_no_time_of_an_answer(world: World) -> None:
+def test_the_time_of_connecting_is_not_counted_as_an_answer_time(world: World) -> None:
     """A request that waits for the connection has not been sent."""
     peer = world.peer("tcp", answering(good))
     plc = world.connect(peer.url, timeout=20)
@@ -183,7 +183,7 @@ def test_an_answer_is_counted_up_to_its_bound(seconds: float, place: int) -> Non
     assert statistics.results == {(3, "ok"): 1, (3, "exception"): 1}
 
 
-def test_clients_one_after_the_other_count_in_the_same_place(connect: Connect) -> None:
+def test_clients_of_one_endpoint_that_follow_each_other_count_together(connect: Connect) -> None:
     totals = Statistics()
     with FakeServer(lambda request: [echo(request)]) as server:
         for _ in range(3):
@@ -193,6 +193,6 @@ def test_clients_one_after_the_other_count_in_the_same_place(connect: Connect) -
     assert (totals.connects, totals.requests, totals.responses) == (3, 3, 3)
 
 
-def test_statistics_must_be_some() -> None:
+def test_statistics_of_another_type_are_refused() -> None:
     with pytest.raises(TypeError, match="statistics must be Statistics, not dict"):
         Client("tcp://127.0.0.1", statistics={})  # type: ignore[typeddict-item]

@@ -64,7 +64,7 @@ def test_a_withdrawn_request_calls_no_on_done_and_its_answer_is_dropped() -> Non
         await asyncio.sleep(1)
         assert names == ["second"]
         assert second.outcome == [7]
-        second.withdraw()  # too late, and no harm
+        second.withdraw()  # too late, and without effect
         assert client.statistics.late_answers == 1
 
     def late(request: bytes) -> list[bytes]:
@@ -146,7 +146,7 @@ def test_without_permission_a_client_neither_connects_nor_sends() -> None:
     ("options", "count"), [({"max_in_flight": 1}, 1), ({"connect_delay": 0.1}, 0)]
 )
 def test_waiting_requests_are_refused_once_permission_ends(options: Any, count: int) -> None:
-    """They wait for a slot, or for the delay after connecting: asked at their start it was yes."""
+    """Requests wait for a slot, or for the delay after connecting; permission was given before."""
     gate = Gate()
 
     async def use(plc: AsyncClient, peer: Scripted) -> None:
@@ -160,7 +160,7 @@ def test_waiting_requests_are_refused_once_permission_ends(options: Any, count: 
     run_client(on_read_at("tcp", after=0.1), use, may_send=gate, **options)
 
 
-def test_false_is_no_mistake_and_all_but_true_and_false_is(caplog) -> None:
+def test_may_send_must_return_a_bool(caplog) -> None:
     for permission in (False, True):
         driver = Driver(may_send=lambda permission=permission: permission)
         assert driver.ask(1).is_done is not permission
@@ -182,7 +182,7 @@ def test_may_send_is_an_option_of_asyncio_clients_alone() -> None:
 
 @pytest.mark.parametrize("when", ["given", "traced"])
 def test_without_permission_nothing_is_sent_while_rts_is_turned(when, monkeypatch) -> None:
-    """With RTS the frame leaves later than it was given to the port."""
+    """With RTS, the frame is sent some time after `send`."""
     gate = Gate()
     send = SerialPort.send
 

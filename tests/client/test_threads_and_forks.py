@@ -26,13 +26,13 @@ from tests.support.signals import in_child
 
 
 def assert_read(client: Any, address: int) -> None:
-    """Check that a register gives its address."""
+    """Check that a register has its address as value."""
     assert client.read_holding_registers(address, 1) == [address]
 
 
 @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 def test_a_child_sends_nothing_of_what_its_parent_asks() -> None:
-    """The fork comes while another thread writes many things one after the other."""
+    """The fork happens while another thread sends many writes one after the other."""
     heads: list[bytes] = []
     halfway = threading.Event()
 
@@ -112,7 +112,7 @@ def test_a_child_that_asks_and_closes_leaves_its_parent_alone() -> None:
         assert (context.statistics.connects, line.statistics.connects) == (1, 1)
 
 
-def test_a_hundred_threads_and_a_close() -> None:
+def test_a_hundred_threads_get_their_values_until_the_client_is_closed() -> None:
     """Each gets its own values until it is told that the client is closed."""
 
     def ask(context: Client, number: int) -> None:
@@ -151,7 +151,7 @@ def test_clients_work_with_descriptors_beyond_1023(scheme: str, kind: str) -> No
                 os.close(descriptor)
 
 
-def test_no_descriptor_or_thread_is_left_by_clients_of_any_fate() -> None:
+def test_clients_leave_no_descriptor_or_thread_however_they_end() -> None:
     """What is left fails the test: see tests.support.leaks."""
     with TcpPeer(on_read) as server, LinePeer(on_read_at("rtu")) as unit:
         Client(f"tcp://127.0.0.1:{server.port}")  # never used
@@ -227,7 +227,7 @@ def test_a_client_forgotten_while_it_connects_leaves_nothing() -> None:
             await asyncio.wait([task])
             del client, task
             gc.collect()
-        async with AsyncClient(server.url) as last:  # those before it are accepted
+        async with AsyncClient(server.url) as last:  # requests before it are accepted
             assert await last.read_holding_registers(1, 1) == [1]
         until(lambda: not server._peers)
 

@@ -30,7 +30,7 @@ def silent(request: bytes) -> list[bytes]:
     return []
 
 
-def test_timeouts_of_the_client_the_handle_and_the_request(world: World) -> None:
+def test_timeouts_of_the_client_and_the_handle_and_the_request_apply(world: World) -> None:
     with world.client_of("tcp", answering(echoing, silent), timeout=30) as plc:
         assert plc.execute(REQUEST) == [5]
         plc.timeout = 0.2
@@ -102,7 +102,7 @@ UNITS = [
 
 @ALL
 @pytest.mark.parametrize(("unit", "error"), UNITS)
-def test_a_unit_that_does_not_exist_is_refused_when_it_is_set(kind: str, unit, error) -> None:
+def test_setting_a_unit_that_does_not_exist_is_refused(kind: str, unit, error) -> None:
     with peer_at("tcp", on_read) as peer, asking(kind, peer.url) as client:
         with pytest.raises(error, match=r"unit must be .*0\.\.255"):
             client.unit = unit
@@ -111,7 +111,7 @@ def test_a_unit_that_does_not_exist_is_refused_when_it_is_set(kind: str, unit, e
 
 
 @pytest.mark.parametrize(("unit", "error"), UNITS)
-def test_a_unit_that_does_not_exist_is_refused_when_it_is_submitted(unit, error) -> None:
+def test_submitting_to_a_unit_that_does_not_exist_is_refused(unit, error) -> None:
     async def use(plc: AsyncClient, _: Scripted) -> None:
         task = asyncio.create_task(plc.read_holding_registers(7, 1))
         await asyncio.sleep(0)

@@ -52,7 +52,7 @@ def test_both_clients_have_the_same_methods() -> None:
                 assert inspect.signature(blocking[name]) == inspect.signature(method)
 
 
-def test_a_definition_is_what_is_called() -> None:
+def test_methods_are_defined_in_the_files_of_their_sources() -> None:
     """Whoever looks for the definition finds the method itself, and what it does."""
     for client, name in ((Client, "functions_blocking"), (AsyncClient, "functions_async")):
         source = importlib.import_module(f"libmodbus_py.client.{name}").__file__
@@ -139,7 +139,7 @@ def test_a_wrong_name_in_a_call(make, name, arguments, wrong, close) -> None:
 
 
 @each_case("make", [Client, AsyncClient])
-def test_no_method_takes_other_names(make: Any) -> None:
+def test_methods_refuse_argument_names_of_other_packages(make: Any) -> None:
     plc = make("tcp://127.0.0.1:1")
     for name in methods(make).keys() - {"close"}:
         message = called(plc, name, slave_id=3)

@@ -128,7 +128,7 @@ def test_a_port_without_a_listener_is_a_connection_error_at_once(
         assert {outcome.errno for outcome in outcomes} == {errno.ECONNREFUSED}
 
 
-def test_port_that_comes_back_is_used_again(connect: Connect) -> None:
+def test_a_port_that_is_opened_again_is_used_again(connect: Connect) -> None:
     first = UdpPeer(on_read)
     with connect(first.url) as context:
         with first:

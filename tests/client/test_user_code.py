@@ -30,7 +30,7 @@ each_scheme = pytest.mark.parametrize("scheme", CONNECTING)
 
 
 class Mistake(Exception):
-    """What a request class raises that its author did not mean to."""
+    """An exception that a request class raises by mistake."""
 
 
 def fail(*_: object) -> Any:
@@ -46,7 +46,7 @@ def with_mistake(name: str) -> pdu.ReadHoldingRegisters:
 
 
 def replying(scheme: str, outcome: str) -> OnRequest:
-    """Return what answers all reads, but one of register 5 in another way."""
+    """Return a function that answers all reads, and that of register 5 in another way."""
     around = 7 if has_header(scheme) else 1
 
     def reply(request: bytes, write: Write) -> None:
@@ -62,7 +62,7 @@ def replying(scheme: str, outcome: str) -> OnRequest:
 
 
 def outcome_of(call: Callable[[], object]) -> object:
-    """Return what a call returns or raises."""
+    """Return the result of a call, or its exception."""
     try:
         return call()
     except Exception as error:
@@ -147,7 +147,7 @@ def test_a_log_handler_that_fails_fails_no_call(world: World, scheme: str, hook)
         other.close()
 
 
-def test_callbacks_see_the_state_they_are_called_with(world: World) -> None:
+def test_callbacks_can_read_the_state_that_they_are_called_for(world: World) -> None:
     """A callback that looks at the client sees the state that it is told of."""
     states: list[tuple[State, State]] = []
     counts: list[tuple[str, int]] = []
@@ -183,7 +183,7 @@ def test_a_trace_of_a_request_comes_before_its_answer(world: World) -> None:
 
 
 def submitting(act: Callable[[AsyncClient, list[Any]], object]) -> list[Any]:
-    """Submit two reads, the first with an `on_done` of the test; return what was told."""
+    """Submit two reads, the first with an `on_done` of the test; return the outcomes."""
     outcomes: list[Any] = []
 
     async def use(plc: AsyncClient, _: Scripted) -> None:
@@ -203,7 +203,7 @@ def test_an_on_done_that_raises_is_logged(caplog: pytest.LogCaptureFixture) -> N
     assert [record.message for record in caplog.records] == ["on_done failed"]
 
 
-def test_an_on_done_that_returns_a_coroutine_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_on_done_that_is_a_coroutine_is_an_error(caplog: pytest.LogCaptureFixture) -> None:
     assert submitting(lambda plc, outcomes: asyncio.sleep(0)) == [[2]]
     assert "which nothing awaits" in caplog.text
 
@@ -254,7 +254,7 @@ class Raised(BaseException):
 @pytest.mark.parametrize("error", [KeyError, MemoryError, KeyboardInterrupt, Raised])
 @pytest.mark.parametrize("hook", ["on_state", "trace"])
 @pytest.mark.parametrize("at", range(4))
-def test_a_hook_that_raises_leaves_a_context_that_works(at, hook, error) -> None:
+def test_a_callback_that_raises_leaves_a_working_client(at, hook, error) -> None:
     """At its first call, or a later one: connecting, sending, receiving, being lost."""
     calls = iter(range(1000))
 
@@ -315,7 +315,7 @@ def test_a_hook_that_uses_its_client_is_refused(hook: str) -> None:
 
 @ALL
 @pytest.mark.parametrize("data", [b"", bytes(254), "text", None, 7])
-def test_a_request_that_encodes_to_nonsense_is_refused(data: Any, kind: str) -> None:
+def test_a_request_class_that_encodes_invalid_bytes_is_refused(data: Any, kind: str) -> None:
     class Nonsense(pdu.ReadHoldingRegisters):
         def encode(self) -> Any:
             return data

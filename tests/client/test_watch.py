@@ -114,7 +114,7 @@ def test_polls_that_are_late_are_left_out(wall: Wall) -> None:
     assert times(polls) == [0, 1, 4, 5, 6]
 
 
-def test_a_device_that_is_away_gives_reasons(wall: Wall) -> None:
+def test_polls_of_a_silent_device_contain_the_reasons(wall: Wall) -> None:
     def during(_: Any) -> None:
         wall.silent = set() if wall.silent else {0, 9}
 
@@ -125,7 +125,7 @@ def test_a_device_that_is_away_gives_reasons(wall: Wall) -> None:
         assert all(isinstance(entry, ModbusTimeoutError) for entry in away.values())
 
 
-def test_a_connection_that_is_lost_is_made_again(wall: Wall) -> None:
+def test_a_lost_connection_is_made_again_during_a_watch(wall: Wall) -> None:
     polls = [
         values for _, values in wall.watch(3, every=1, during=lambda _: wall.device.drop_all())
     ]
@@ -138,7 +138,7 @@ def test_a_connection_that_is_lost_is_made_again(wall: Wall) -> None:
     )
 
 
-def test_a_point_that_is_refused_leaves_the_others(wall: Wall) -> None:
+def test_a_refused_point_leaves_the_values_of_the_others(wall: Wall) -> None:
     wall.refused = {9}
     for _, values in wall.watch(2, every=1):
         assert values["a"] == 7
@@ -186,7 +186,7 @@ def test_a_watch_ends_when_the_client_is_closed(wall: Wall) -> None:
 
 
 def in_a_loop(use: Callable[[AsyncClient, Any], Awaitable[None]], every: float) -> None:
-    """Run a test with a client and its watch, which has given its first values."""
+    """Run a test with a client and its watch, which has returned its first values."""
 
     async def begun(plc: AsyncClient, _: Scripted) -> None:
         watching = plc.watch(METER, every=every)
@@ -251,7 +251,7 @@ def test_other_requests_go_on_until_another_thread_ends_the_wait(url: str) -> No
     assert polls == []
 
 
-def test_ctrl_c_leaves_and_a_signal_handler_may_close(url: str) -> None:
+def test_ctrl_c_ends_a_watch_and_a_signal_handler_may_close_it(url: str) -> None:
     with Client(url) as plc:
         watching = plc.watch(METER, every=86_400)
         next(watching)
@@ -275,7 +275,7 @@ def test_polls_come_at_the_shortest_interval(wall: Wall) -> None:
     assert wall.times_of(0) == [0, 6]
 
 
-def test_a_total_that_is_smaller_twice_is_marked_once(wall: Wall) -> None:
+def test_a_total_is_marked_once_if_its_next_value_is_smaller_too(wall: Wall) -> None:
     wall.registers[10] = [100, 3, 4, 5]
     polls = values_of(wall.watch(7, what=TOTALS, every=1, names=["v", "energy"]))
     assert [values["energy"] for values in polls] == [100, 100, 100, 4, 4, 4, 5]

@@ -32,7 +32,7 @@ POINTS = RegisterMap(
 
 
 def knowing(*functions: int) -> OnRequest:
-    """Return what carries out these functions, and refuses all others as a small device does."""
+    """Return a device that executes these functions, and refuses others as small devices do."""
 
     def on_request(request: bytes, write: Write) -> None:
         function = request[7]
@@ -54,7 +54,7 @@ def sent(peer: Any) -> list[str]:
 
 RUN, VALUES = {"run": True}, {"setpoint": 0.7, "energy": 0x10002}
 
-# The option, the functions that the device has, what is written, and what is sent.
+# The option, the functions of the device, the values, and the requests.
 WRITES: list[tuple[str, tuple[int, ...], dict[str, Any], list[str]]] = [
     ("single", SINGLE, RUN, ["050000ff00"]),
     ("single", SINGLE, VALUES, ["0600030007", "0600040001", "0600050002"]),
@@ -89,7 +89,7 @@ def test_a_map_is_written_with_the_functions_that_the_device_has(
         ("single", SINGLE, ["0600033f80", "0600040000"]),
     ],
 )
-def test_values_are_written_with_its_functions(world: World, option, functions, requests) -> None:
+def test_values_are_written_by_the_chosen_functions(world: World, option, functions, requests):
     peer = world.peer("tcp", knowing(*functions))
     with world.connect(f"{peer.url}?write_function={option}") as plc:
         plc.write_value("holding_registers", 3, 1.0, "float32")
@@ -99,7 +99,7 @@ def test_values_are_written_with_its_functions(world: World, option, functions, 
     assert sent(peer) == 2 * requests
 
 
-def test_what_a_device_refuses_with_both_functions_is_refused(world: World) -> None:
+def test_a_write_refused_with_both_functions_raises_the_refusal(world: World) -> None:
     with (
         world.client_of("tcp", knowing()) as plc,
         pytest.raises(IllegalFunction, match="Registers"),
@@ -113,7 +113,7 @@ def test_what_a_device_refuses_with_both_functions_is_refused(world: World) -> N
             assert len(peer.requests) == 1
 
 
-def test_a_unit_and_a_point_have_their_own(world: World) -> None:
+def test_a_unit_and_a_point_have_their_own_write_functions(world: World) -> None:
     peer = world.peer("tcp", knowing(*SINGLE, *MULTIPLE))
     own = RegisterMap(
         [
@@ -140,7 +140,7 @@ REFUSED, REFUSAL = "03 0009 0001", "83 02"
 
 
 class WideCount(pdu.Request[bytes]):
-    """Function 3, whose answers have such a count; the program does not register it."""
+    """Function 3, whose answers have a count of two bytes; the program does not register it."""
 
     function: ClassVar[int] = 3
     request_length = pdu.fixed(5)
@@ -176,14 +176,14 @@ SCHEMES = ["rtu", "rtu+tcp", "rtu+udp", "ascii", "ascii+tcp", "tcp"]
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("pieces", [1, 3])
-def test_answers_in_an_own_layout_are_taken(connect: Connect, scheme: str, pieces: int) -> None:
+def test_registered_layouts_are_decoded(connect: Connect, scheme: str, pieces: int) -> None:
     pieces = 1 if scheme == "rtu+udp" else pieces
     with device(scheme, pieces) as peer, connect(peer.url, unit=1, timeout=2) as client:
         check(client)
 
 
 @pytest.mark.parametrize("scheme", ["rtu", "tcp"])
-def test_contexts_take_answers_in_an_own_layout(scheme: str) -> None:
+def test_contexts_decode_answers_in_a_registered_layout(scheme: str) -> None:
     with device(scheme) as peer, context_at(peer.url, unit=1, timeout=2) as context:
         check(context)
 

@@ -53,7 +53,7 @@ CALLS: dict[int, Callable[[AnyContext, Any], object]] = {
 
 
 def outcome(act: Callable[[], object]) -> object:
-    """Return what an action returns, or the code of the exception with which it is refused."""
+    """Return the result of an action, or the code of its exception."""
     try:
         return act()
     except ExceptionResponse as refusal:
@@ -90,7 +90,7 @@ def test_contexts_send_and_understand_the_examples_of_the_specification(transpor
 
 
 @each_transport
-def test_contexts_get_all_that_a_server_in_c_has(compiled: Callable[[str], Path], transport: str):
+def test_contexts_get_all_values_of_a_server_in_c(compiled: Callable[[str], Path], transport: str):
     with c_serving(compiled("server"), transport) as url, context_at(url) as context:
         check_all(context)  # type: ignore[arg-type]
         version = ".".join(map(str, loaded_version()))
@@ -220,7 +220,7 @@ def slave() -> Iterator[int]:
     assert process.returncode == 0
 
 
-def test_the_random_client_reads_from_the_slave_what_it_has_written() -> None:
+def test_the_random_client_of_libmodbus_reads_what_it_wrote() -> None:
     with slave() as port:
         run = subprocess.run(
             [sys.executable, ROOT / "examples" / "random_client.py", str(port)],
@@ -232,7 +232,7 @@ def test_the_random_client_reads_from_the_slave_what_it_has_written() -> None:
 
 
 @pytest.mark.slow
-def test_the_random_client_of_debian_reads_so_too(tmp_path: Path) -> None:
+def test_the_random_client_of_debian_reads_what_it_wrote(tmp_path: Path) -> None:
     if not DEBIAN.exists():
         pytest.skip(f"{DEBIAN} is not there: this system installs no documentation")
     with slave() as port:

@@ -158,7 +158,7 @@ def test_a_connection_that_the_other_side_closes_is_made_again() -> None:
             assert context.socket == -1
 
 
-def test_a_port_where_nothing_listens_is_refused() -> None:
+def test_a_context_is_refused_where_nothing_listens() -> None:
     with socket.socket() as place:
         place.bind(("127.0.0.1", 0))
         context = TcpContext("127.0.0.1", place.getsockname()[1])
@@ -187,7 +187,7 @@ def test_an_unknown_host_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert caught.value.errno == socket.EAI_NONAME
 
 
-def test_what_is_no_serial_port_is_refused() -> None:
+def test_a_path_that_is_no_serial_port_is_refused() -> None:
     for path, number in {
         "/dev/null": errno.ENOTTY,
         "/nonexistent": errno.ENOENT,
@@ -207,7 +207,7 @@ def test_a_port_in_use_is_refused() -> None:
         context_at(peer.url).connect()
 
 
-def test_an_unplugged_adapter_is_an_error_until_it_is_back(tmp_path: Path) -> None:
+def test_an_unplugged_adapter_is_an_error_until_it_is_plugged_in(tmp_path: Path) -> None:
     link = tmp_path / "port"
     with peer_at("rtu", on_read_at("rtu")) as peer:
         link.symlink_to(parse(peer.url).path)
@@ -271,7 +271,7 @@ def ask_in_thread(context: Any) -> tuple[threading.Thread, list[BaseException]]:
     return thread, errors
 
 
-def test_closing_ends_the_call_of_another_thread() -> None:
+def test_closing_ends_a_call_in_another_thread() -> None:
     with TcpPeer(ignore) as peer:
         context = context_at(peer.url, timeout=60.0)
         thread, errors = ask_in_thread(context)
@@ -283,7 +283,7 @@ def test_closing_ends_the_call_of_another_thread() -> None:
         assert peer.connections == 1
 
 
-def test_closing_ends_a_connection_that_is_being_made() -> None:
+def test_closing_ends_an_attempt_to_connect() -> None:
     with mute_port() as port:
         context = TcpContext("127.0.0.1", port, timeout=60.0)
         thread, errors = ask_in_thread(context)
@@ -305,7 +305,7 @@ def test_closing_a_port_waits_for_a_call() -> None:
 
 
 @each_transport
-def test_ctrl_c_takes_effect_when_a_call_ends_and_spoils_it(transport: str) -> None:
+def test_ctrl_c_is_raised_when_the_call_ends_and_closes_the_context(transport: str) -> None:
     def late(request: bytes, write: Write) -> None:
         write(answer(request, transport), after=0.35)
 
@@ -388,7 +388,7 @@ print(context.read_holding_registers(9, 1))
 
 
 @each_transport
-def test_descriptors_of_which_libmodbus_would_die_are_refused(transport: str) -> None:
+def test_descriptors_too_large_for_libmodbus_are_refused(transport: str) -> None:
     with peer_at(transport, on_read_at(transport)) as peer:
         place = peer.url.rpartition(":")[2] if transport == "tcp" else peer.path  # type: ignore[attr-defined]
         process = subprocess.run(
@@ -404,7 +404,7 @@ def test_descriptors_of_which_libmodbus_would_die_are_refused(transport: str) ->
         assert "libmodbus takes those below 1024; Client takes all" in line
 
 
-def test_the_settings_of_a_line_are_set() -> None:
+def test_a_line_is_opened_with_the_settings_of_its_arguments() -> None:
     with peer_at("rtu", ignore) as peer:
         path = peer.path  # type: ignore[attr-defined]
         with RtuContext(path, 2400, "N", 8, 2) as context:
@@ -415,7 +415,7 @@ def test_the_settings_of_a_line_are_set() -> None:
             assert termios.tcgetattr(context.socket)[4] not in (termios.B9600, termios.B2400)
 
 
-# Any, so that arguments may be wrong.
+# Any, so that arguments of wrong types can be passed.
 tcp: Any = TcpContext
 rtu: Any = RtuContext
 
@@ -520,7 +520,7 @@ except ModbusConnectionError as error:
     assert process.stdout == f"{errno.EMFILE}\n", process.stderr
 
 
-def test_names_of_hosts_are_names() -> None:
+def test_hosts_are_given_by_name_or_address() -> None:
     for host in ("m\xfchle.example", "plc_1", "::1", "127.0.0.1"):
         assert TcpContext(host).host == host
     for host in ("m\xfchle" * 30, "a" * 2000):

@@ -71,13 +71,13 @@ def test_a_slave_on_a_line_finds_requests_between_noise() -> None:
 
 
 @each_transport
-def test_a_context_is_content_with_a_slave_by_hand(transport: str) -> None:
+def test_all_calls_of_a_context_succeed_at_a_slave_by_hand(transport: str) -> None:
     with slave_at(transport, make_device().mapping) as url, context_at(url) as context:
         check_all(context)  # type: ignore[arg-type]
 
 
 @each_transport
-def test_the_client_of_libmodbus_is_content_with_a_slave_by_hand(
+def test_all_calls_of_libmodbus_succeed_at_a_slave_by_hand(
     compiled: Callable[[str], Path], transport: str
 ) -> None:
     mapping = make_device().mapping
@@ -112,7 +112,7 @@ def test_mbpoll_reads_from_a_slave_by_hand(transport: str) -> None:
 
 
 @each_transport
-def test_pymodbus_talks_with_a_slave_by_hand(transport: str) -> None:
+def test_pymodbus_reads_and_writes_at_a_slave_by_hand(transport: str) -> None:
     mapping = make_device().mapping
     with slave_at(transport, mapping) as url, pymodbus_client(url) as client:
         response = client.read_holding_registers(100, count=125, device_id=UNIT)
@@ -146,7 +146,7 @@ REFUSALS: dict[str, tuple[str, type[Exception]]] = {
 }
 
 
-def test_a_slave_refuses_what_libmodbus_would_read_past_or_sleep_over() -> None:
+def test_a_slave_refuses_requests_of_impossible_lengths() -> None:
     """On TCP, whose header has the length; requests come together, and none is lost."""
     cases = {name: (bytes.fromhex(data), kind) for name, (data, kind) in REFUSALS.items()}
     with (
@@ -166,7 +166,7 @@ def test_a_slave_refuses_what_libmodbus_would_read_past_or_sleep_over() -> None:
     assert HOLES.holding_registers[:5] == [0] * 5
 
 
-def test_a_slave_answers_nothing_to_codes_of_answers() -> None:
+def test_a_slave_ignores_response_codes() -> None:
     with (
         slave_at("tcp", HOLES) as url,
         socket.create_connection(("127.0.0.1", int(url[16:]))) as master,
@@ -177,7 +177,7 @@ def test_a_slave_answers_nothing_to_codes_of_answers() -> None:
     assert frame.transaction == 1
 
 
-def test_a_slave_chooses_what_it_answers() -> None:
+def test_a_slave_chooses_its_answers() -> None:
     def answer(slave: AnyContext, request: bytes) -> None:
         assert request[6] == 17
         slave.reply_exception(request, ServerDeviceBusy.code)
@@ -188,7 +188,7 @@ def test_a_slave_chooses_what_it_answers() -> None:
                 master.read_coils(0, 1)
 
 
-def test_a_slave_on_a_line_hears_others_and_answers_what_is_its_own() -> None:
+def test_a_slave_on_a_line_ignores_frames_of_others_and_answers_its_own() -> None:
     mapping = Mapping(holding_registers=10)
     requests: list[bytes | None] = []
     with peer_at("rtu", lambda request, write: None) as line:
@@ -270,7 +270,7 @@ def test_two_slaves_cannot_listen_on_one_port() -> None:
     slave.close()
 
 
-def test_replies_take_whole_frames_only() -> None:
+def test_replies_take_complete_frames_only() -> None:
     slave = TcpContext("127.0.0.1", 0)
     request = framing.TcpFramer().encode(framing.Frame(1, pdu.ReadCoils(0, 1).encode()))
     wrong: dict[str, tuple[Any, Any]] = {

@@ -58,7 +58,7 @@ def bits(data: bytes, count: int) -> list[bool]:
 
 
 def adapted(name: str, folder: Path, changes: dict[str, str]) -> Path:
-    """Compile one of the programs with other places in it."""
+    """Compile one of the programs with another host and port in its source."""
     source = EXAMPLES / f"{name}.c"
     if not source.exists():
         pytest.skip(f"{source} is not there: this system installs no documentation")
@@ -128,7 +128,7 @@ def passed(lines: list[str]) -> int:
 
 
 class UnitTestDevice(Device):
-    """Answers as unit-test-server.c does, with these faults."""
+    """A device that answers as unit-test-server.c does, with the same faults."""
 
     faults: ClassVar = {
         None: [

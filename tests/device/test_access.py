@@ -1,4 +1,4 @@
-"""What each request touches, as hooks are told of it, and what hooks may refuse or change."""
+"""The accesses of each request, as hooks get them, and what hooks may refuse or change."""
 
 import threading
 from collections.abc import Callable
@@ -20,7 +20,7 @@ def seen_as(table: str, address: int, count: int, *values: Any, file: int = 0) -
     return Access(table, address, count, values, file, CALLER.unit, CALLER.peer)
 
 
-# Request, what it writes, what it reads; 250 holds 12h.
+# Request, written and read cells; register 250 has the value 12h.
 TOUCHES: list[tuple[pdu.Request[Any], list[Access], list[Access]]] = [
     (pdu.ReadCoils(10, 3), [], [seen_as("coils", 10, 3)]),
     (pdu.ReadDiscreteInputs(20, 9), [], [seen_as("discrete_inputs", 20, 9)]),
@@ -52,7 +52,7 @@ TOUCHES: list[tuple[pdu.Request[Any], list[Access], list[Access]]] = [
 WRITES = [request for request, writes, _ in TOUCHES if writes]
 READS = [request for request, _, reads in TOUCHES if reads]
 UNTOUCHING = [example for example in EXAMPLES if example.function in (7, 8, 11, 12, 17, 43)]
-# Bodies that touch something, but not all of it exists: exception 2.
+# Requests of which some addresses do not exist: exception 2.
 BEYOND = [
     pdu.ReadCoils(9, 2),
     pdu.ReadDiscreteInputs(2099, 2),
@@ -83,7 +83,7 @@ def hooked_device(**hooks: Callable[[Access], object]) -> Device:
 
 
 class Recorder:
-    """Three hooks that note what they are told, and what the device holds then."""
+    """Three hooks that record their accesses, and the values of the device then."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[str, Access]] = []
@@ -141,7 +141,7 @@ class TestHooks:
             *[(request.encode()[:1], 3) for request, *_ in TOUCHES],
         ],
     )
-    def test_hooks_never_see_what_does_not_exist_or_is_malformed(self, body, code) -> None:
+    def test_hooks_get_no_invalid_or_missing_addresses(self, body, code) -> None:
         recorder = Recorder()
         before = contents(recorder.device)
         assert recorder.device.answer(body, CALLER) == bytes([body[0] | 0x80, code])
@@ -156,7 +156,7 @@ class TestHooks:
         access = Access("holding_registers", 100, 1, (7,), 0, 0, "/dev/ttyS0")
         assert recorder.calls == [("before_write", access), ("after_write", access)]
 
-    def test_listening_device_calls_no_hooks(self) -> None:
+    def test_a_listening_device_calls_no_hooks(self) -> None:
         recorder, caller = Recorder(), on_a_line()
         diagnose(recorder.device, 4, b"\0\0", caller)
         for request, *_ in TOUCHES:
@@ -230,7 +230,7 @@ class TestHooks:
         assert device.answer(b"\x18\0\x09") == b"\x18\0\4\0\1\0\x08"
         assert device.answer(b"\x14\7\6" + words(4, 9, 1)) == b"\x14\4\3\6\0\x09"
 
-    def test_queue_that_is_too_long_can_be_cut_by_its_hook(self) -> None:
+    def test_a_hook_can_shorten_a_queue_that_is_too_long(self) -> None:
         def cut(access: Access) -> None:
             del device.fifos[access.address][31:]
 
@@ -238,7 +238,7 @@ class TestHooks:
         device.fifos[9] = [1] * 40
         assert len(device.answer(b"\x18\0\x09")) == 5 + 62
 
-    def test_hook_may_write_to_the_mapping_and_the_client_has_the_last_word(self) -> None:
+    def test_the_written_values_replace_those_that_a_hook_set(self) -> None:
         def before(access: Access) -> None:
             device.mapping.holding_registers[100:103] = [1, 2, 3]
 
@@ -260,7 +260,7 @@ class TestHooks:
 
         def before(access: Access) -> None:
             inside.set()
-            assert not outside.wait(0.02)  # the other one waits for the lock
+            assert not outside.wait(0.02)  # the other thread waits for the lock
             order.append("hook")
 
         device = hooked_device(before_write=before)
@@ -279,5 +279,5 @@ class TestHooks:
         assert order == ["hook", "other"]
 
 
-def test_what_writes_and_nothing_else_changes_a_table() -> None:
+def test_every_request_that_writes_and_no_other_changes_a_table() -> None:
     assert all(request.changes == bool(kind.writes) for request, kind in ACCESSES.items())

@@ -55,7 +55,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "value", "error", "text"), CASES)
-def test_a_wrong_value_is_refused_as_argument_and_as_attribute(name, value, error, text) -> None:
+def test_a_wrong_value_is_refused_as_argument_and_attribute(name, value, error, text) -> None:
     with pytest.raises(error, match=text):
         Device(**{"mapping": Mapping(), name: value})
     device = Device(Mapping(holding_registers=1), files={4: 1}, fifos={7: [9]})
@@ -66,7 +66,7 @@ def test_a_wrong_value_is_refused_as_argument_and_as_attribute(name, value, erro
 
 
 @pytest.mark.parametrize("value", [-1, 65536, "1", True, None])
-def test_the_diagnostic_register_is_a_register(value: Any) -> None:
+def test_the_diagnostic_register_holds_a_register_value(value: Any) -> None:
     device = Device(Mapping())
     with pytest.raises((TypeError, ValueError), match=r"^diagnostic_register must be "):
         device.diagnostic_register = value
@@ -75,7 +75,7 @@ def test_the_diagnostic_register_is_a_register(value: Any) -> None:
 
 @pytest.mark.parametrize("name", ["handlers", "identification"])
 @pytest.mark.parametrize("value", [5, "abc", [1]])
-def test_options_that_are_no_mapping_are_named(name: str, value: Any) -> None:
+def test_options_of_another_type_than_a_mapping_are_named(name: str, value: Any) -> None:
     with pytest.raises(TypeError, match=rf"^{name} must be \{{.*\}}, not "):
         Device(Mapping(), **{name: value})
 
@@ -101,7 +101,7 @@ def test_an_argument_that_is_no_attribute_cannot_be_set(name: str) -> None:
     ],
     ids=lambda value: value if isinstance(value, str) else type(value).__name__,
 )
-def test_attributes_that_are_derived_are_read_only(owner: object, name: str) -> None:
+def test_derived_attributes_are_read_only(owner: object, name: str) -> None:
     with pytest.raises(AttributeError, match=name):
         setattr(owner, name, getattr(owner, name))
 
@@ -150,7 +150,7 @@ def test_values_set_in_attributes_are_answered() -> None:
     assert repr(device.fifos[1246]) == "FifoQueue([440, 4740])"
 
 
-def test_another_mapping_must_have_all_points() -> None:
+def test_another_mapping_must_contain_all_points() -> None:
     points = RegisterMap([Point("flow", "holding_registers", 5)])
     device = Device(Mapping(holding_registers=6), points=points)
     with pytest.raises(ValueError, match=r"^flow: <holding_registers 0\.\.4> lacks its cells, 5"):
@@ -159,7 +159,7 @@ def test_another_mapping_must_have_all_points() -> None:
     assert device["flow"] == 42
 
 
-def test_hooks_are_asked_in_another_mapping() -> None:
+def test_hooks_are_called_for_another_mapping() -> None:
     """A hook on all addresses of the first mapping is one on a part of the second."""
     hook = Hook(print, holding_registers=range(4))
     device = Device(Mapping(holding_registers=4), before_read=hook)

@@ -18,7 +18,7 @@ CLASSES = {*pdu.REQUESTS.values(), pdu.ReadDeviceIdentification}
 
 
 class Tables:
-    """A device whose every table, file, queue and function answers, and what was done to it."""
+    """A device whose every table, file, queue and function answers; `done` records the calls."""
 
     def __init__(self, authorize: Any, **hooks: Any) -> None:
         self.done: list[object] = []
@@ -52,7 +52,7 @@ def denying(requests: list[ClientRequest]) -> Any:
 
 
 def test_there_is_an_example_of_each_class() -> None:
-    """Else the next tests would leave one out."""
+    """Otherwise the next tests would leave a class out."""
     assert {type(request) for request in REQUEST_OBJECTS} == CLASSES | {pdu.RawRequest}
 
 
@@ -84,7 +84,7 @@ def test_allowed_requests_are_answered(example: bytes) -> None:
 
 @settings(max_examples=100)
 @given(st.binary(min_size=1, max_size=253))
-def test_any_bytes_are_asked_about_once(data: bytes) -> None:
+def test_authorize_is_called_once_for_any_bytes(data: bytes) -> None:
     requests: list[ClientRequest] = []
     answer = TABLES.answered(data, denying(requests))
     is_request = data[0] < 0x80
@@ -107,7 +107,7 @@ class _Shared:
 TABLES = _Shared()
 
 
-def test_all_128_codes_are_asked_about() -> None:
+def test_authorize_is_called_for_all_128_codes() -> None:
     for function in range(128):
         requests: list[ClientRequest] = []
         assert TABLES.answered(bytes([function]), denying(requests)) == bytes([function | 0x80, 1])
@@ -155,7 +155,7 @@ def test_authorize_is_called_for_each_request() -> None:
         (pdu.WriteRegister(50, 1).encode(), 2),
         (pdu.ReadFileRecords(((9, 1, 2),)).encode(), 2),
         (pdu.ReadFifoQueue(5).encode(), 2),
-        (b"\x2b\x0e\x04\x77", 2),  # an object that is not there
+        (b"\x2b\x0e\x04\x77", 2),  # a missing object
         (b"\x03\x00\x00\x00\x7e", 3),  # 126 registers
         (b"\x03\x00\x00\x00", 3),
         (b"\x05\x00\x00\x12\x34", 3),  # neither on nor off
@@ -202,7 +202,7 @@ def test_broadcasts_are_asked_about() -> None:
     assert calls == [1]
 
 
-def test_a_restart_and_silence_that_are_denied_do_not_happen() -> None:
+def test_a_denied_restart_or_listen_only_has_no_effect() -> None:
     log = EventLog(is_serial=True)
     device = Device(Mapping(1), authorize=lambda asked: False)
     for data in (b"\x08\x00\x04\x00\x00", b"\x08\x00\x01\xff\x00"):
@@ -244,7 +244,7 @@ async def forgotten(asked: ClientRequest) -> bool:
     ],
     ids=["None", "1", "text", "coroutine", "raises"],
 )
-def test_a_mistake_opens_no_door(authorize: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_error_in_authorize_denies_the_request(authorize: Any, caplog: pytest.LogCaptureFixture):
     caplog.clear()
     tables = Tables(authorize)
     for _ in range(3):
@@ -263,7 +263,7 @@ def test_authorize_may_refuse_with_another_exception() -> None:
     assert tables.done == []
 
 
-def test_what_is_no_function_is_refused_at_once() -> None:
+def test_an_authorize_that_is_no_function_is_refused_at_once() -> None:
     with pytest.raises(TypeError, match="authorize must be a function, not dict"):
         Device(Mapping(1), authorize={})  # type: ignore[arg-type]
 

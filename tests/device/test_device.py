@@ -18,7 +18,7 @@ class TestWorkedExamples:
         rows([vector for vector in RESPONSES if vector.request and vector.function in KNOWN]),
     )
     def test_answer_is_that_of_the_example(self, vector: FrameVector) -> None:
-        """On a device that holds what the example's response says."""
+        """On a device with the values of the example's response."""
         (request,) = (request for request in REQUESTS if request.id == vector.request)
         mapping = Mapping(*[65536] * 4)
         device = Device(mapping, files={3: range(20), 4: range(20)})
@@ -113,7 +113,7 @@ class TestBroadcasts:
         assert device.answer(b"\x06" + words(0, 7), caller) == b""
         assert device.mapping.holding_registers[100] == 7
 
-    def test_everything_else_is_ignored(self) -> None:
+    def test_a_broadcast_that_is_no_write_is_ignored(self) -> None:
         accesses: list[Access] = []
         device = Device(Mapping(holding_registers=4), before_read=accesses.append)
         line = EventLog(is_serial=True)
@@ -135,7 +135,7 @@ class TestBroadcasts:
 
 
 class TestTwoDevices:
-    """All state is the device's own, and none is a module's or a class's."""
+    """All state belongs to a device, and none to a module or class."""
 
     def test_identification_status_identifier_and_register(self) -> None:
         first = Device(Mapping(), identification={0: "first"}, exception_status=1)

@@ -65,13 +65,13 @@ both_lines = pytest.mark.parametrize("serial", [True, False], ids=["serial", "tc
 
 
 class TestDiagnostics:
-    def test_every_sub_function_is_tried(self) -> None:
+    def test_all_sub_functions_of_the_specification_are_tested(self) -> None:
         assert {0, 1, 3, 4, *PLAIN} == set(SubFunction)
         assert not set(RESERVED) & set(SubFunction)
 
     @both_lines
     @each_case("size", [2, 4, 100, 250])
-    def test_query_data_come_back(self, serial: bool, size: int) -> None:
+    def test_query_data_are_returned(self, serial: bool, size: int) -> None:
         data = bytes(at * 7 & 0xFF for at in range(size))
         device = new_device()
         assert diagnose(device, 0, data, caller_on(serial)) == b"\x08\0\0" + data
@@ -79,7 +79,7 @@ class TestDiagnostics:
 
     @both_lines
     def test_unknown_and_reserved_sub_functions_are_illegal(self, serial: bool) -> None:
-        """Before their data are looked at."""
+        """Before their data are checked."""
         for sub_function in RESERVED:
             for data in (b"\0\0", b"\0\1", b"\xff\xff"):
                 answer = diagnose(new_device(), sub_function, data, caller_on(serial))
@@ -87,7 +87,7 @@ class TestDiagnostics:
 
     @both_lines
     @each_case("sub_function", PLAIN)
-    def test_other_data_than_0_is_refused(self, serial: bool, sub_function: int) -> None:
+    def test_data_other_than_0_are_refused(self, serial: bool, sub_function: int) -> None:
         caller = caller_on(serial)
         for data in (b"\0\1", b"\1\0", b"\xff\0", b"\xff\xff"):
             assert diagnose(new_device(), sub_function, data, caller) == b"\x88\3"
@@ -165,7 +165,7 @@ class TestDiagnostics:
             assert diagnose(device, 3, bytes([0x24, zero]), caller_on(serial)) == b"\x88\3"
 
     @both_lines
-    def test_diagnostic_register_is_the_device_s_own(self, serial: bool) -> None:
+    def test_the_diagnostic_register_is_that_of_the_device(self, serial: bool) -> None:
         device, caller = new_device(), caller_on(serial)
         assert diagnose(device, 2, b"\0\0", caller) == b"\x08\0\2\0\0"
         device.diagnostic_register = 0xBEEF

@@ -69,12 +69,12 @@ ascii_only = pytest.mark.parametrize("line", ["ascii"], indirect=True)
 
 
 def send(context: Client, data: bytes) -> None:
-    """Write what no request is, and let the server take it."""
+    """Write bytes that are no request, and let the server read them."""
     context._driver._port._write(data)
 
 
 def counters(context: Client) -> dict[str, int]:
-    """Each question is a message of its own, and is counted as one."""
+    """Each read of a counter is a message of its own, and is counted as one."""
     return {name: context.diagnostics(counter) for name, counter in COUNTERS.items()}
 
 

@@ -21,7 +21,7 @@ class TestFiles:
     def write(*subs: tuple[int, int, list[int]]) -> bytes:
         return pdu.WriteFileRecords(subs).encode()
 
-    def test_holes_are_no_records(self) -> None:
+    def test_gaps_in_a_file_are_no_records(self) -> None:
         device = Device(Mapping(), files={3: {9: 0x33CD, 10: 0x0040, 12: 7}})
         assert device.answer(self.read((3, 9, 2))) == bytes.fromhex("140605 0633CD0040")
         assert device.answer(self.read((3, 12, 1))) == b"\x14\4\3\6\0\7"
@@ -59,13 +59,13 @@ class TestFiles:
         assert list(RecordFile([5, 6])) == [5, 6]
         assert list(RecordFile([])) == list(RecordFile({})) == []
 
-    def test_mapping_must_be_one(self) -> None:
+    def test_mapping_must_be_a_mapping(self) -> None:
         for bad in (None, {}, 5):
             with pytest.raises(TypeError, match="mapping must be a Mapping"):
                 Device(bad)  # type: ignore[arg-type]
 
 
-def test_wrong_files_are_refused_in_words(refused: Refused) -> None:
+def test_wrong_files_are_refused_with_a_reason(refused: Refused) -> None:
     refused("wrong_files.txt", lambda files: Device(Mapping(), files=files))
 
 
@@ -101,19 +101,19 @@ class TestQueues:
         del device.fifos[7][31:]
         assert device.answer(b"\x18\0\7")[:5] == b"\x18\0\x40\0\x1f"
 
-    def test_other_addresses_are_no_queues(self) -> None:
+    def test_addresses_without_a_queue_are_refused(self) -> None:
         device = Device(Mapping(holding_registers=10), fifos={7: [1]})
         for address in (0, 6, 8, 65535):
             assert device.answer(b"\x18" + words(address)) == b"\x98\2"
         assert new_device().answer(b"\x18\0\0") == b"\x98\2"
-        assert device.answer(b"\x18\0\7\0") == b"\x98\3"  # the length comes first
+        assert device.answer(b"\x18\0\7\0") == b"\x98\3"  # the length is checked first
 
     @pytest.mark.parametrize(
         ("fifos", "error"),
         [({-1: []}, ValueError), ({65536: []}, ValueError), ({"0": []}, TypeError)],
         ids=str,
     )
-    def test_address_of_a_queue_is_one(self, fifos: Any, error: type[Exception]) -> None:
+    def test_the_address_of_a_queue_must_be_an_address(self, fifos: Any, error: type[Exception]):
         with pytest.raises(error, match=r"^fifo must be "):
             Device(Mapping(), fifos=fifos)
 
@@ -122,6 +122,6 @@ class TestQueues:
     ("fifos", "message"),
     [({1: 5}, r"fifos\[1\] must be a list of registers, not 5"), ([1], "fifos must be {pointer ")],
 )
-def test_wrong_queues_are_refused_in_words(fifos: Any, message: str) -> None:
+def test_wrong_queues_are_refused_with_a_reason(fifos: Any, message: str) -> None:
     with pytest.raises(TypeError, match=message):
         Device(Mapping(), fifos=fifos)

@@ -26,7 +26,7 @@ def registered() -> Iterator[None]:
 
 @pytest.mark.usefixtures("registered")
 class TestHandlers:
-    def test_handler_is_given_the_request_and_gives_its_result(self) -> None:
+    def test_handlers_get_the_request_and_their_result_is_sent(self) -> None:
         device = Device(Mapping(), handlers={Doubled: lambda request: request.values * 2})
         assert device.answer(b"\x41\2\0\7") == b"\x41\4\0\7\0\7"
         assert device.answer(b"\x41\4\0\7") == b"\xc1\3"
@@ -34,7 +34,7 @@ class TestHandlers:
     def test_class_without_a_handler_is_an_illegal_function(self) -> None:
         assert Device(Mapping()).answer(b"\x41\0") == b"\xc1\1"
 
-    def test_handler_of_one_device_is_not_another_s(self) -> None:
+    def test_a_handler_of_one_device_does_not_serve_another_device(self) -> None:
         first = Device(Mapping(), handlers={Doubled: lambda request: [1]})
         second = Device(Mapping(), handlers={Doubled: lambda request: [2]})
         third = Device(Mapping())
@@ -110,7 +110,7 @@ class TestFailures:
             assert device.answer(pdu.ReadFileRecords([(1, 0, 1)]).encode()) == b"\x94\4"
         assert len(caplog.records) == 2
 
-    def test_bug_leaves_the_mapping_free(self, caplog: pytest.LogCaptureFixture) -> None:
+    def test_an_exception_leaves_the_mapping_unlocked(self, caplog: pytest.LogCaptureFixture):
         device = Device(Mapping(holding_registers=1))
         device.files[1] = Broken([1])
         device.answer(pdu.ReadFileRecords([(1, 0, 1)]).encode())
@@ -136,8 +136,8 @@ class TestFailures:
         assert device.answer(b"\x03" + words(100, 1)) == b"\x03\2\0\0"
         assert len(caplog.records) == 1
 
-    def test_answer_left_in_the_socketpair_is_not_given_to_the_next_request(self) -> None:
-        """libmodbus replies, and what it sent cannot be received."""
+    def test_an_answer_left_in_the_socketpair_is_not_sent_to_the_next_request(self) -> None:
+        """libmodbus replies, and its reply cannot be received."""
         device = new_device()
         device.mapping.holding_registers[100:102] = [1, 2]
         answers: list[bytes] = []
@@ -149,7 +149,7 @@ class TestFailures:
             assert own.struct.outlet != -1, outlet
             answers.extend(device.answer(b"\x03" + words(address, 1)) for address in (101, 100))
 
-        thread = threading.Thread(target=work)  # which has a replier of its own
+        thread = threading.Thread(target=work)  # the thread has a replier of its own
         thread.start()
         thread.join()
         assert answers == [b"\x83\x04", b"\x03\2\0\2", b"\x03\2\0\1"]

@@ -22,7 +22,7 @@ READ, WRITE = b"\3\0\0\0\1", b"\6\0\0\0\7"
 # What no answer can carry as the code of an exception.
 NO_CODES: tuple[Any, ...] = ("2", 2.0, 0, -1, 256, 1000)
 
-# What calls a function of the application, and the request that has it called.
+# The hook or handler -> a request that calls it.
 KINDS: dict[str, bytes] = {
     "before_read": READ,
     "before_write": WRITE,
@@ -38,7 +38,7 @@ def made_device(kind: str, call: Callable[[Any], Any]) -> Device:
 
 
 def raising(make: Callable[[], BaseException]) -> Callable[[Any], Any]:
-    """One made anew: its traceback would keep all that was there alive."""
+    """Return a new exception: the traceback of a shared one would keep objects in memory."""
 
     def fail(_: Any) -> None:
         raise make()
@@ -105,7 +105,7 @@ def test_a_handler_whose_class_encodes_no_bytes_is_a_failure(result, caplog, mon
 
 @pytest.mark.parametrize("error", [asyncio.CancelledError, GeneratorExit, Unusual])
 def test_a_failing_hook_costs_no_other_request(error, caplog) -> None:
-    """Neither who sent it nor others, whose requests came alone and are answered together."""
+    """Neither another request of this client nor those of others, alone or read together."""
     server = Server(made_device("before_write", raising(error)))
     ok, failure = b"\3\2\0\0", b"\x86\4"
     requests = [READ, WRITE, READ]
@@ -174,7 +174,7 @@ def test_a_slow_hook_with_places_is_logged_even_if_it_fails(caplog, monkeypatch)
 
 
 def test_a_hook_gets_the_whole_range_of_a_read() -> None:
-    """Not only what the hook asked for: it can refresh, or refuse, the whole."""
+    """Not only the range of the hook: the hook can refresh, or refuse, the whole."""
     accesses: list[Access] = []
     hook = Hook(accesses.append, holding_registers=range(5, 6))
     device = Device(Mapping(holding_registers=20), before_read=hook)
@@ -218,7 +218,7 @@ def test_a_hook_may_ask_its_own_device() -> None:
     assert answers == [b"\3\2\0\1", b"\3\2\0\2"] * 4
 
 
-def test_a_hook_that_asks_without_end_leaves_the_mapping_free() -> None:
+def test_a_hook_with_endless_recursion_leaves_the_mapping_unlocked() -> None:
     device = Device(Mapping(holding_registers=1), before_read=lambda access: device.answer(READ))
     assert device.answer(READ) in (b"\x83\4", b"\3\2\0\0")
     assert is_free(device)

@@ -63,13 +63,13 @@ class TestIdentification:
         ],
         ids=str,
     )
-    def test_conformity_is_what_the_device_has(self, objects, conformity) -> None:
-        """Whatever is asked for, and the code comes back as it was asked."""
+    def test_the_conformity_level_follows_from_the_objects(self, objects, conformity) -> None:
+        """Whatever code is requested; the response repeats the requested code."""
         device = Device(Mapping(), identification=objects)
         for code in (1, 2, 3, 4):
             assert device.answer(page(code))[:4] == bytes([0x2B, 0x0E, code, conformity])
 
-    def test_single_objects_are_given_alone(self) -> None:
+    def test_single_objects_are_returned_alone(self) -> None:
         device = Device(Mapping(), identification=IDENTITY)
         whole = identified(device, "extended")[0].objects
         for number in IDENTITY_NUMBERS:
@@ -93,7 +93,7 @@ class TestCanopen:
         for body in (b"", b"\1\2\3"):
             assert new_device().answer(b"\x2b\x0d" + body) == b"\xab\1"
 
-    def test_data_go_through_both_ways(self) -> None:
+    def test_canopen_data_are_passed_both_ways(self) -> None:
         data_: list[bytes] = []
 
         def bus(data: bytes) -> bytes:
@@ -105,14 +105,14 @@ class TestCanopen:
             assert device.answer(b"\x2b\x0d" + data) == b"\x2b\x0d" + data[::-1]
         assert data_ == [b"", b"\1\2\3", bytes(range(251))]
 
-    def test_function_may_refuse(self) -> None:
+    def test_a_canopen_function_may_refuse(self) -> None:
         def bus(data: bytes) -> bytes:
             raise errors.ServerDeviceBusy
 
         assert Device(Mapping(), canopen=bus).answer(b"\x2b\x0d") == b"\xab\6"
 
     @each_case("bad", [None, "text", 5, bytes(252), bytes(1000)], ids=type)
-    def test_what_no_answer_can_carry_is_a_failure(self, bad, caplog) -> None:
+    def test_canopen_data_that_fit_no_answer_are_a_failure(self, bad, caplog) -> None:
         caplog.clear()
         device = Device(Mapping(), canopen=lambda data: bad)
         for _ in range(2):

@@ -1,4 +1,4 @@
-"""The four tables: what goes in and comes out, who may hold on to them, and what they cost."""
+"""The four tables: values that are set and read, references to them, and their memory."""
 
 import gc
 import subprocess
@@ -41,14 +41,14 @@ class TestArguments:
             (range(7, 7), range(7, 7)),
         ],
     )
-    def test_count_or_range_gives_the_addresses(self, name: str, given_addresses, addresses):
+    def test_a_count_or_a_range_sets_the_addresses(self, name: str, given_addresses, addresses):
         cells = table(name, given_addresses)
         assert cells.addresses == addresses
         assert cells.name == name
         assert len(cells) == len(addresses)
         assert cells[:] == [0] * len(addresses)
 
-    def test_tables_are_apart(self) -> None:
+    def test_the_four_tables_are_separate(self) -> None:
         mapping = Mapping(8, 8, 8, 8)
         for value, name in enumerate(TABLES):
             getattr(mapping, name)[:] = [value > 1 and value] * 8
@@ -70,7 +70,7 @@ HOLES = [range(100, 110), range(120, 121), range(110, 112), range(300, 310)]
 
 class TestHoles:
     @each_table
-    def test_what_lies_between_the_ranges_does_not_exist(self, name: str) -> None:
+    def test_addresses_between_ranges_do_not_exist(self, name: str) -> None:
         cells = table(name, HOLES)
         assert cells.ranges == (range(100, 112), range(120, 121), range(300, 310))
         assert cells.addresses == range(100, 310)
@@ -98,7 +98,7 @@ class TestHoles:
             (slice(305, 311), "305:311"),
         ],
     )
-    def test_a_slice_names_the_hole_in_it(self, name: str, key: slice, missing: object) -> None:
+    def test_a_slice_names_missing_addresses(self, name: str, key: slice, missing: object) -> None:
         cells = table(name, HOLES)
         with pytest.raises(IndexError, match=rf"no address(es)? {missing} in <{name} "):
             cells[key]
@@ -107,7 +107,7 @@ class TestHoles:
         assert not any(cells.view)
         assert cells[115:115] == []
 
-    def test_values_stand_where_they_are_given(self) -> None:
+    def test_values_start_at_the_given_addresses(self) -> None:
         mapping = Mapping(
             coils={7: [True, False, True]},
             holding_registers={100: [555, 0, 100], 0: range(3), 65535: (1,), 5: []},
@@ -154,7 +154,7 @@ class TestHoles:
         with pytest.raises(error, match=rf"^{name}.*{text}"):
             table(name, bad)
 
-    def test_a_value_of_several_registers_does_not_reach_across_a_hole(self) -> None:
+    def test_a_value_of_several_registers_does_not_cross_missing_addresses(self) -> None:
         registers = Mapping(holding_registers={0: [1, 2], 3: [4]}).holding_registers
         assert registers.read(0, "uint32") == 0x10002
         with pytest.raises(IndexError, match="no address 2 in"):
@@ -166,7 +166,7 @@ class TestHoles:
 
 class TestAccess:
     @each_table
-    def test_empty_table_has_no_address(self, name: str) -> None:
+    def test_an_empty_table_has_no_address(self, name: str) -> None:
         cells = table(name, 0)
         assert list(cells) == cells[:] == cells[0:0] == []
         for key in (0, -1):
@@ -174,7 +174,7 @@ class TestAccess:
                 cells[key]
 
     @each_table
-    def test_slices_go_by_address(self, name: str) -> None:
+    def test_slices_are_taken_by_address(self, name: str) -> None:
         cells = table(name, range(100, 110))
         cells[102:105] = [1, 0, 1]
         assert cells[:] == [0, 0, 1, 0, 1, 0, 0, 0, 0, 0]
@@ -205,7 +205,7 @@ class TestAccess:
         ],
         ids=str,
     )
-    def test_slices_past_the_table_are_errors(self, name: str, key: slice) -> None:
+    def test_slices_beyond_the_table_are_errors(self, name: str, key: slice) -> None:
         cells = table(name, range(100, 110))
         with pytest.raises(IndexError, match=rf"<{name} 100\.\.109>"):
             cells[key]
@@ -224,7 +224,7 @@ class TestAccess:
 
     @each_table
     @each_case("values", [[], [1], [1] * 3, [1] * 65537])
-    def test_as_many_values_as_addresses(self, name: str, values: list[int]) -> None:
+    def test_an_assignment_needs_as_many_values_as_addresses(self, name: str, values: list[int]):
         cells = table(name, 10)
         with pytest.raises(ValueError, match=f"{name}: {len(values)} values for 2 addresses"):
             cells[4:6] = values
@@ -297,7 +297,7 @@ class TestAccess:
 
 class TestTypedValues:
     @each_register_table
-    def test_known_values(self, name: str) -> None:
+    def test_typed_values_are_written_as_known_registers(self, name: str) -> None:
         cells = table(name, range(100, 110))
         cells.write(100, 1.0, "float32", order="CDAB")
         cells.write(102, -2, "int32")
@@ -368,7 +368,7 @@ class TestTypedValues:
 
 class TestViews:
     @each_table
-    def test_view_begins_with_the_first_address(self, name: str) -> None:
+    def test_a_view_begins_at_the_first_address(self, name: str) -> None:
         cells = table(name, range(100, 110))
         cells[101] = 1
         assert len(cells.view) == 10
@@ -409,7 +409,7 @@ class TestViews:
         view = getattr(mapping, name).view
         del mapping
         gc.collect()
-        others = [table(name, 65536) for _ in range(5)]  # would take the freed memory
+        others = [table(name, 65536) for _ in range(5)]  # other tables would take the freed memory
         for other in others:
             other[:] = [1] * 65536
         assert view[7] == 1
@@ -471,13 +471,13 @@ print("done")
 """
 
 
-def test_a_mapping_in_a_circle_can_be_collected() -> None:
+def test_a_mapping_in_a_reference_cycle_is_collected() -> None:
     """A memoryview that something else looks into must not be cleared first (gh-77894)."""
     run = subprocess.run([sys.executable, "-c", CIRCLE], capture_output=True, text=True, timeout=50)
     assert (run.stdout, run.stderr, run.returncode) == ("done\n", "", 0)
 
 
-def test_mappings_are_forgotten_all_the_same() -> None:
+def test_mappings_without_references_are_freed() -> None:
     mapping = Mapping(coils=1)
     reference = weakref.ref(mapping)
     del mapping

@@ -58,7 +58,7 @@ REQUESTS: list[tuple[pdu.Request[Any], int]] = [
     (pdu.WriteRegisters(0, [3, 1]), 0),  # 30 at a scale of 10
     (pdu.WriteRegisters(0, [3, 1, 0]), 0),
     (pdu.WriteRegisters(0, [3, 1, 1]), 3),  # the limit is the factor, 200
-    (pdu.WriteRegisters(0, [20, 0x8000]), 3),  # a scale that means none
+    (pdu.WriteRegisters(0, [20, 0x8000]), 3),  # a scale without a valid value
     (pdu.WriteRegisters(0, [20, 300]), 3),  # 10 to the power of 300
     (pdu.WriteRegister(2, 50), 0),
     (pdu.WriteRegister(2, 51), 3),
@@ -131,7 +131,7 @@ def test_a_long_chain_of_scales() -> None:
     assert device["s0"] == 7
 
 
-def test_a_moving_scale_is_computed_before_it_is_used() -> None:
+def test_a_moving_scale_is_computed_before_a_value_is_scaled() -> None:
     counter = "counter = { step = 1, interval = 9999, start = 1, wrap = 5 }"
     text = FILE.replace('missing="sunspec", value=-1', counter)
     for plain in (", minimum=5, maximum=30, value=20", ", value=8", ", value=2"):

@@ -22,7 +22,7 @@ MAP = RegisterMap(
 )
 
 
-def test_values_are_set_and_read_by_the_names_of_points() -> None:
+def test_values_are_set_and_read_by_point_names() -> None:
     device = Device.of_map(MAP, {"setpoint": 21.5, "name": "Ab", "alarms": [True, False, True]})
     assert device.mapping.holding_registers[0] == 215
     assert device["setpoint"] == 21.5
@@ -162,7 +162,7 @@ def test_other_threads_see_an_update_as_a_whole() -> None:
     assert torn == []
 
 
-def test_a_device_of_the_path_of_a_map(tmp_path: Path) -> None:
+def test_a_device_is_made_from_the_path_of_a_map(tmp_path: Path) -> None:
     path = tmp_path / "boiler.csv"
     path.write_text("name,table,address,scale\nsetpoint,holding,3,0.1\n")
     for place in (path, str(path)):

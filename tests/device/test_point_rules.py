@@ -141,7 +141,7 @@ def test_rules_hold_for_broadcasts() -> None:
 
 
 def test_cells_of_several_points() -> None:
-    """Whoever may read or write one of the points may do so with its cells."""
+    """A client that may read or write one of the points may do so with its cells."""
     device = Device.of_map(
         RegisterMap(
             [

@@ -12,7 +12,7 @@ from libmodbus_py.device.access import ACCESSES
 from libmodbus_py.serve import Caller
 from tests.support.cases import each_case
 
-# Rules look at addresses only: what the tests write there may stay.
+# Rules use addresses only: values that tests write may remain.
 MAPPING = Mapping(65536, 65536, 65536, 65536)
 FILES = {number: [0] * 100 for number in (3, 4)}
 
@@ -164,7 +164,7 @@ def test_sub_functions_and_mei_types(functions: list[str], data: bytes, result: 
 @each_case(
     ("allow", "data", "result"),
     [
-        (Allow(read=["coils"]), b"\x01\x00", 3),  # may read some: is told what is wrong
+        (Allow(read=["coils"]), b"\x01\x00", 3),  # a role with some reads: the error is explained
         (Allow(read=[Access("coils", 9, 1)]), b"\x01\x00", 3),
         (Allow(read=["coils"]), b"\x03\x00", 1),  # may send no request of the function
         (Allow(read=["coils"]), b"\x05\x00", 1),

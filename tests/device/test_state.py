@@ -75,7 +75,7 @@ def test_the_text_of_a_file(tmp_path: Path) -> None:
 
 
 @given(st.dictionaries(st.integers(0, 599), st.integers(0, 65535)))
-def test_any_values_come_back(values: dict[int, int]) -> None:
+def test_any_saved_values_are_loaded_unchanged(values: dict[int, int]) -> None:
     saved, loaded = (Device(Mapping(holding_registers=600), files={1: [0] * 600}) for _ in "12")
     for address, value in values.items():
         saved.mapping.holding_registers[address] = value
@@ -89,7 +89,7 @@ def test_any_values_come_back(values: dict[int, int]) -> None:
     assert contents(loaded) == contents(saved)
 
 
-def test_no_hook_is_called(tmp_path: Path) -> None:
+def test_loading_calls_no_hook(tmp_path: Path) -> None:
     device = Device(Mapping(coils=1), before_write=pytest.fail, after_write=pytest.fail)
     device.mapping.coils[0] = True
     device.save(tmp_path / "values")
@@ -176,7 +176,7 @@ RUNS: list[tuple[dict[str, Any], str]] = [
 
 @each_case(("unit", "message"), RUNS)
 def test_wrong_values_are_refused(unit: dict[str, Any], message: str, tmp_path: Path) -> None:
-    """Although there are good ones before them, no value is set."""
+    """No value is set, although valid values come before the wrong one."""
     good = {"input_registers": {"7": [9]}}
     refused(tmp_path, text_of({"every": good | unit}), f"(units.every.)?{message}")
 
@@ -234,7 +234,7 @@ def test_paths_that_are_no_file_are_refused(tmp_path: Path) -> None:
         plant().save(tmp_path / "missing" / "values")
 
 
-def test_links_and_permissions_stay(tmp_path: Path) -> None:
+def test_symbolic_links_and_permissions_are_kept(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     target, link = tmp_path / "other" / "values", tmp_path / "link"
     link.symlink_to(target)
@@ -343,7 +343,7 @@ def test_a_program_that_is_killed_at_any_step_of_saving_leaves_a_whole_file(tmp_
     assert int(process.stdout) > 10
 
 
-def test_threads_that_save_one_file_leave_that_of_one_of_them(tmp_path: Path) -> None:
+def test_concurrent_saves_of_one_file_leave_one_complete_file(tmp_path: Path) -> None:
     path, devices = tmp_path / "values", [plant() for _ in range(4)]
     for number, device in enumerate(devices):
         device.mapping.holding_registers[1000:1600] = [number + 1] * 600

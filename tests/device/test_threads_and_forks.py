@@ -28,7 +28,7 @@ def quick_switches() -> Iterator[None]:
 class TestThreads:
     @pytest.mark.parametrize("devices", [1, 4])
     def test_threads_get_their_own_answers(self, devices: int, quick_switches: None) -> None:
-        """Of one device, whose lock they share, and of their own, where no lock helps."""
+        """Requests to one device with a lock, and to the thread's own devices without one."""
         devices_ = [new_device() for _ in range(devices)]
         wrong: list[Any] = []
 
@@ -52,7 +52,7 @@ class TestThreads:
             thread.join()
         assert wrong == []
 
-    def test_no_reader_sees_half_a_write(self, quick_switches: None) -> None:
+    def test_a_reader_never_gets_half_a_write(self, quick_switches: None) -> None:
         """Neither half of a run of registers or of a value, nor one of two pieces of a file."""
         device = new_device()
         table, ones = device.mapping.holding_registers, 0x0001_0001_0001_0001
@@ -134,7 +134,7 @@ class TestLock:
             ),
         ],
     )
-    def test_others_wait_until_the_mapping_is_left(self, work: Callable[[Mapping], object]) -> None:
+    def test_other_threads_wait_for_the_mapping(self, work: Callable[[Mapping], object]) -> None:
         mapping = Mapping(4, 4, 4, 4)
         with mapping as entered:
             assert entered is mapping
@@ -142,14 +142,14 @@ class TestLock:
             assert not end.wait(0.05)
         assert end.wait(10)
 
-    def test_the_owner_of_the_mapping_may_use_it(self) -> None:
+    def test_the_thread_that_locked_the_mapping_may_use_it(self) -> None:
         mapping = Mapping(4, 4, 4, 4)
         with mapping, mapping:
             mapping.coils[0] = True
             assert mapping.coils[:] == [True, False, False, False]
             assert Device(mapping).answer(b"\1\0\0\0\4") == b"\1\1\1"
 
-    def test_mapping_is_left_after_an_error(self) -> None:
+    def test_the_mapping_is_unlocked_after_an_error(self) -> None:
         mapping = Mapping(4)
         with pytest.raises(IndexError), mapping:
             mapping.coils[4]
@@ -258,7 +258,7 @@ assert device.answer(b"\\3\\0\\0\\0\\1") == b"\\3\\2\\0\\0"
 print("good")
 """)
 
-    def test_a_lock_that_the_forking_thread_held_is_held_in_both(self) -> None:
+    def test_a_lock_of_the_forking_thread_is_locked_in_both_processes(self) -> None:
         """As in a hook."""
         forked("""
 from libmodbus_py.device import hooks

@@ -30,7 +30,7 @@ Evaluate = Callable[[Example], None]
 
 @dataclass(frozen=True)
 class Examples:
-    """How to evaluate what there is: a fence by its language, and files."""
+    """The functions that run examples: one for each language of a fence, and one for files."""
 
     python: Evaluate
     console: Evaluate
@@ -38,7 +38,7 @@ class Examples:
     file: Evaluate
 
     def __call__(self, document: Document) -> Iterator[Region]:
-        """Find them, as a parser of Sybil."""
+        """Find the examples, as a parser of Sybil."""
         for region in blocks(document):
             file, language = region.lexemes.get("file"), region.lexemes["language"]
             if not_run(document, region) or not (file or language in RUN):

@@ -47,7 +47,7 @@ def isolate() -> None:
         Path("/proc/self", name).write_text(text)
     _make_network()
     _make_devices()
-    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # nobody else ends it if a test run is killed
+    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # else it would survive a killed test run
 
 
 def _call(result: int) -> None:
@@ -68,7 +68,7 @@ def _make_network() -> None:
 
 def _make_devices() -> None:
     """Mount a /dev with the devices that every program needs, and its own pseudo-terminals."""
-    _mount("none", "/", "", MS_REC | MS_PRIVATE)  # what follows is seen by nobody else
+    _mount("none", "/", "", MS_REC | MS_PRIVATE)  # later mounts are seen by this process only
     with tempfile.TemporaryDirectory() as before:
         _mount("/dev", before, "", MS_BIND | MS_REC)
         # Nobody may create, as `> /dev/null` does, what is there in a folder that all may write to.
@@ -92,7 +92,7 @@ def _mount(source: str, target: str, kind: str, flags: int = 0, options: str = "
 
 @contextlib.contextmanager
 def plug_in(ports: Mapping[str, str]) -> Iterator[None]:
-    """Have serial ports: a name in /dev, and what it is the name of."""
+    """Make serial ports available: a name in /dev, and the device that it stands for."""
     for name, path in ports.items():
         Path(name).symlink_to(path)
     try:

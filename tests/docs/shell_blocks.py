@@ -63,7 +63,7 @@ class Command:
 
 
 def _plain(text: str) -> list[str]:
-    """Return the arguments of a libmodbus-py that needs no shell; else nothing."""
+    """Return the arguments of a libmodbus-py that needs no shell; otherwise nothing."""
     words = shlex.shlex(text, posix=True, punctuation_chars=True)
     words.whitespace_split, words.commenters = True, ""
     name, *arguments = words
@@ -110,7 +110,7 @@ class Shell:
         }
 
     def close(self) -> None:
-        """Interrupt what stays; it must end."""
+        """Interrupt commands that still run; they must end."""
         for process in self._staying:
             _interrupt(process)
 
@@ -156,7 +156,7 @@ class Shell:
         )
 
     def _await(self, process: Process, output: Path, text: str) -> None:
-        """Wait until it has printed so much."""
+        """Wait until the command has printed so much."""
         end = time.monotonic() + PATIENCE
         while not matches(f"{self._pattern(text)}...", self._read(output)):
             assert process.poll() is None, f"ended: {self._read(output)}"

@@ -33,7 +33,7 @@ RECEIVED = re.compile(
 
 
 @pytest.mark.parametrize("path", TEMPLATES, ids=lambda path: path.stem)
-def test_what_is_received_comes_after_what_is_made(path: Path) -> None:
+def test_functions_that_receive_stand_after_functions_that_make(path: Path) -> None:
     if path.stem == "errors":
         return
     for part in path.read_text().split("\n## "):

@@ -76,7 +76,7 @@ def test_an_index_gets_absolute_links() -> None:
     )
 
 
-def test_the_address_is_that_of_the_project(tmp_path: Path) -> None:
+def test_the_repository_address_comes_from_the_project_file(tmp_path: Path) -> None:
     file = tmp_path / "pyproject.toml"
     file.write_text(f'[project]\nname = "x"\n[project.urls]\nSource = "{ADDRESS}/"\n')
     assert loaded("links").repository(tmp_path) == ADDRESS
@@ -98,7 +98,7 @@ def test_the_commands_of_a_session_are_copied() -> None:
     ]
 
 
-def test_copy_buttons_find_the_commands() -> None:
+def test_copy_buttons_have_the_commands_without_prompts() -> None:
     """The theme copies the attribute data-copy of the block, or else all that it shows."""
     from html import escape, unescape
 
@@ -135,7 +135,7 @@ def site(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_questions_come_first_and_names_of_the_api_last(site: Path) -> None:
+def test_questions_come_first_and_api_names_last_in_searches(site: Path) -> None:
     searching = loaded("searching")
     questions = {"no answer": "troubleshooting/#lines"}
     assert searching.mistakes(INDEX, questions, site) == [
@@ -150,7 +150,7 @@ def test_questions_come_first_and_names_of_the_api_last(site: Path) -> None:
     assert searching.mistakes(arranged, questions, site) == []
 
 
-def test_a_question_that_leads_nowhere_is_a_mistake(site: Path) -> None:
+def test_a_question_whose_page_does_not_exist_is_a_mistake(site: Path) -> None:
     searching = loaded("searching")
     for location in ("nowhere/", "troubleshooting/#nothing"):
         arranged = searching.arranged(INDEX, {"no answer": location})
@@ -172,7 +172,7 @@ def install_blocks(path: Path) -> list[str]:
     )
 
 
-def test_there_is_one_block_that_installs() -> None:
+def test_one_block_of_the_documentation_installs_the_package() -> None:
     pages = [ROOT / "README.md", ROOT / "docs/how-to/install.md"]
     blocks = [install_blocks(page) for page in pages]
     assert blocks == [blocks[0]] * 2

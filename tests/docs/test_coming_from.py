@@ -91,7 +91,7 @@ def outputs(source: str) -> list[object]:
 
 
 @pytest.mark.parametrize("page", PAIRS)
-def test_both_sides_of_the_pairs_give_the_same(page: str) -> None:
+def test_both_programs_of_a_pair_print_the_same(page: str) -> None:
     rows = list(pairs(page))
     assert len(rows) >= PAIRS[page]
     for row in rows:
@@ -99,7 +99,7 @@ def test_both_sides_of_the_pairs_give_the_same(page: str) -> None:
         assert "libmodbus_py" not in row.theirs
 
 
-def test_each_peer_begins_with_a_program_in_both() -> None:
+def test_each_page_begins_with_a_program_for_both_packages() -> None:
     assert list(PROGRAMS) == ["pymodbus", "pylibmodbus", "minimalmodbus", "pyModbusTCP", "mbpoll"]
 
 
@@ -367,7 +367,7 @@ def run_with_names(folder: Path) -> None:
             exec(compile(tree, "program", "exec"), checks)
 
 
-def test_connected_is_what_pymodbus_says(module: ModuleType, served: int) -> None:
+def test_connected_has_the_values_that_pymodbus_gives_it(module: ModuleType, served: int) -> None:
     absent = module.ModbusTcpClient("127.0.0.1", port=1, retries=0)
     assert (absent.connect(), absent.connected) == (False, False)
     client = module.ModbusTcpClient("127.0.0.1", port=served)
@@ -396,7 +396,7 @@ async def test_asyncio_programs_close_without_await(module: ModuleType, served: 
     assert not await absent.connect()
 
 
-def test_what_does_not_answer_raises_the_errors_of_its_names(module: ModuleType, silent: int):
+def test_silence_raises_the_errors_of_the_pymodbus_names(module: ModuleType, silent: int):
     client = module.ModbusTcpClient("127.0.0.1", port=silent, timeout=0.05, retries=0)
     with pytest.raises(module.ModbusIOException):
         client.read_coils(0)

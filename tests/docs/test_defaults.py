@@ -65,7 +65,7 @@ def test_an_option_accepts_its_default_and_its_range(name: str) -> None:
 
 @pytest.mark.parametrize("client", [Client, AsyncClient])
 @pytest.mark.parametrize("method", ["execute", "read_many", "watch"])
-def test_help_tells_what_methods_of_many_types_do(client: type[Any], method: str) -> None:
+def test_help_of_typed_methods_contains_their_docstrings(client: type[Any], method: str) -> None:
     text = pydoc.plaintext.document(getattr(client, method))
     assert re.search(r"\n    [A-Z].*\.\n[^$]*Args:", text), text
 

@@ -75,7 +75,7 @@ def test_blocks_of_shells_are_split_into_commands() -> None:
     assert shell == [("a", None, 2), ("b   c", None, 4)]
 
 
-def test_only_examples_are_read(tmp_path: Path) -> None:
+def test_blocks_without_examples_are_not_run(tmp_path: Path) -> None:
     def evaluate(example: Example) -> None:
         raise AssertionError(example)
 

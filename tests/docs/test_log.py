@@ -18,7 +18,7 @@ PLACE = re.compile(r"%[sdgr]|%\.\d[fg]")
 
 
 def text_of(argument: ast.expr, before: dict[str, str]) -> str:
-    """Return a message whose parts are constants, or names that have one; else nothing."""
+    """Return a message whose parts are constants, or names of constants; otherwise nothing."""
     if isinstance(argument, ast.Constant):
         return str(argument.value)
     if isinstance(argument, ast.BinOp):
@@ -48,7 +48,7 @@ def test_the_table_has_each_message_with_its_level() -> None:
         coded |= {text: level for text, level in messages(ast.parse(source)) if text.strip("…: ")}
     rows = {text: level or "warning" for text, level, _ in ROW.findall(PAGE)}
     assert {text: level for text, level in coded.items() if rows.get(text) != level} == {}
-    # The others are put together, such as the line about files that were read again.
+    # The other messages are put together, such as the line about files that were read again.
     for text in rows.keys() - coded.keys():
         assert max(text.split("…"), key=len).strip() in sources, text
 

@@ -47,7 +47,7 @@ def test_every_option_of_ours_exists(tool: str) -> None:
 
 
 @pytest.mark.parametrize("tool", TOOLS)
-def test_every_word_of_ours_is_taken(tool: str) -> None:
+def test_every_word_of_this_package_in_the_tables_exists(tool: str) -> None:
     names = {*COMMANDS, *TABLE_WORDS, *(f"{scheme}://" for scheme in SCHEMES)}
     for _, ours in rows(tool):
         for words in ours:

@@ -15,7 +15,7 @@ from tests.docs.documents import ROOT, blocks
 
 PAGE = ROOT / "docs" / "how-to" / "run-for-ever.md"
 
-randrange = SystemRandom().randrange  # tests may seed the usual one
+randrange = SystemRandom().randrange  # tests may seed the usual generator
 
 # At an address of this process alone, so that nobody else takes the port while nothing listens. At
 # random: containers that share a network have processes of the same number.
@@ -60,7 +60,7 @@ class Plant:
 
 
 @pytest.mark.parametrize("source", LOOPS, ids=["blocking", "asyncio"])
-def test_a_loop_outlives_its_device(source: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_loop_continues_after_its_device_failed(source: str, capsys: pytest.CaptureFixture[str]):
     plant = Plant()
     source = re.sub(r'"tcp://[^"]*"', repr(URL), source).replace("every=1", "every=0.02")
     exec(BREAK.sub("if plant.is_over(values): break", source), {"plant": plant})
@@ -92,7 +92,7 @@ def enter_asyncio(url: str) -> None:
 
 
 @pytest.mark.parametrize("enter", [enter_blocking, enter_asyncio])
-def test_with_raises_while_a_device_is_down(enter: Callable[[str], None]) -> None:
+def test_entering_a_with_block_raises_while_a_device_is_down(enter: Callable[[str], None]) -> None:
     with pytest.raises(ModbusConnectionError, match="cannot connect"):
         enter(URL)
 

@@ -25,7 +25,7 @@ NAMED = re.findall(r"^\| `(.*?)` \|", PAGE, re.MULTILINE)
 ANSWER = "11 03 06 022B 0000 0064"  # registers 555, 0 and 100 of unit 17
 GOOD, LATE = rtu(ANSWER), rtu("11 03 06 0001 0000 0064")
 
-# What came -> what the client says of it.
+# Received bytes -> the error of the client.
 Came = Callable[[bytes], bytes]
 RTU: dict[str, Came] = {
     "no answer within 0.3 s": lambda request: b"",
@@ -104,7 +104,7 @@ def ends_so(message: str, text: str) -> bool:
     return matches(f"...{message}", text)
 
 
-def test_each_message_of_the_page_is_tried_here() -> None:
+def test_a_test_causes_each_message_of_the_page() -> None:
     assert {*NAMED} == {*RTU, *ASCII, *TCP, *LINE, *OTHERS}
 
 
@@ -154,7 +154,7 @@ def close_all(descriptors: list[int]) -> None:
         os.close(descriptor)
 
 
-def test_a_pseudo_terminal_of_the_same_name_elsewhere_is_another(isolated: Isolated) -> None:
+def test_a_pseudo_terminal_in_another_namespace_is_another_port(isolated: Isolated) -> None:
     with FakeUnit(lambda request: []) as unit:
         process, *descriptors = isolated(open_pseudo_terminal, unit.path)
         assert unit.path in [user.path for user in open_devices()[0] if user.process == process]
@@ -206,7 +206,7 @@ def test_errors_of_hosts_are_those_of_the_page(monkeypatch: pytest.MonkeyPatch) 
     )
 
 
-def test_arguments_are_looked_at_before_anything_is_sent() -> None:
+def test_arguments_are_checked_before_anything_is_sent() -> None:
     with FakeServer(None) as server:
         assert ends_so("count must be in 1..125, not 126", output(server.url, 0, 126))
         assert ends_so("address must be in 0..65535, not 65536", output(server.url, 65536, 1))

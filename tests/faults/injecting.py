@@ -35,7 +35,7 @@ Error = Callable[[], Exception]
 
 
 def system(number: int) -> Error:
-    """Return what makes the OSError of this number."""
+    """Return a function that makes the OSError of this number."""
     return lambda: OSError(number, os.strerror(number))
 
 
@@ -59,7 +59,7 @@ NO_RECEIVE = tuple(map(system, (errno.ECONNRESET, errno.ENETDOWN, errno.EIO)))
 
 @dataclass(frozen=True)
 class Kind:
-    """Calls that fail alike: functions of an owner that are wrapped, and what they may raise."""
+    """Calls that fail alike: wrapped functions of an owner, and their possible exceptions."""
 
     name: str
     owner: Any
@@ -131,7 +131,7 @@ class Counting:
         raise self.error
 
     def _place(self, frame: FrameType | None) -> str:
-        """Return which code of the part makes this call, if it does."""
+        """Return the part of the package that makes this call, if any."""
         while frame is not None:
             name = frame.f_globals.get("__name__", "")
             root = name.partition(".")[0]
@@ -193,7 +193,7 @@ class Complaints(logging.Handler):
 
 @contextlib.contextmanager
 def complaints() -> Iterator[Complaints]:
-    """Collect them."""
+    """Collect log messages."""
     result = Complaints()
     logger = logging.getLogger("asyncio")
     logger.addHandler(result)
@@ -208,7 +208,7 @@ def complaints() -> Iterator[Complaints]:
 
 @dataclass
 class Trial:
-    """One run of a scenario, and what was wrong."""
+    """One run of a scenario, and its failures."""
 
     counting: Counting
     problems: list[str] = field(default_factory=list)
@@ -231,7 +231,7 @@ class Trial:
             self.counting.is_armed = False
 
     def _check(self, error: ModbusConnectionError) -> None:
-        """It was lost for this reason, or the other side went away for it."""
+        """Check that a connection was lost for this reason, or because the other side closed it."""
         cause = self.counting.error
         if cause is None and error.errno == errno.ETIMEDOUT:
             return  # the machine is busy, and a scenario has no patience
@@ -247,7 +247,7 @@ Scenario = Callable[[Trial], None]
 
 
 def eventually(is_so: Callable[[], object]) -> bool:
-    """Wait until it is so, however busy the machine is."""
+    """Wait until a condition holds, however busy the machine is."""
     until = time.monotonic() + LONGEST
     while not is_so():
         if time.monotonic() > until:
@@ -265,7 +265,7 @@ def try_faults(
     begins = tuple(f"{PACKAGE}.{byte}" if byte else PACKAGE for byte in part)
     problems: list[str] = []
     reached = 0
-    scenario(Trial(Counting(KINDS[0], begins, 0, no_thread)))  # what is loaded once is loaded
+    scenario(Trial(Counting(KINDS[0], begins, 0, no_thread)))  # modules are imported once, here
     gc.collect()
     gc.freeze()
     for kind in KINDS:
@@ -283,7 +283,7 @@ def try_faults(
 def _one(
     scenario: Scenario, kind: Kind, part: tuple[str, ...], count: int, make: Error, texts: list[str]
 ) -> bool:
-    """Return whether there was such a call."""
+    """Return True if the call with this number was made."""
     LOOPS.begin()
     before = Snapshot.taken()
     with complaints() as complaints_, counting(kind, part, count, make) as counter:
@@ -293,7 +293,7 @@ def _one(
         except (Exception, pytest.fail.Exception) as error:
             trial.problems.append(f"afterwards: {error!r} {_line_of(error)}")
         if counter.error is not None:
-            counter.error.__traceback__ = None  # which holds what the package has given up
+            counter.error.__traceback__ = None  # it holds objects of the package
         problems = [*trial.problems, *remaining_leaks(before, LOOPS.names()), *complaints_.texts]
     where = f"{kind.name} {count}, {counter.error!r} at {counter.place}"
     texts += [f"{where}: {problem}" for problem in problems]

@@ -21,7 +21,7 @@ PART = ("client", "ports", "security")
 TIMEOUT = 0.05
 PATIENT = 10.0
 
-# So often is it tried whether all is well again.
+# The number of attempts until all must be well again.
 TRIES = 200
 
 # All ask for the same: where a busy machine answers later than that, it is an answer to the next.
@@ -31,7 +31,7 @@ Place = Callable[[Path], contextlib.AbstractContextManager[str]]
 
 
 def each_echoed(requests: bytes) -> list[bytes]:
-    """Several may come together."""
+    """Return frames that may arrive together as separate ones."""
     return [echo(requests[at : at + 12]) for at in range(0, len(requests), 12)]
 
 

@@ -17,7 +17,7 @@ TIMEOUT = 0.15
 
 
 @pytest.mark.parametrize("name", LINES)
-def test_no_fault_goes_unnoticed(name: str) -> None:
+def test_every_injected_fault_is_noticed(name: str) -> None:
     numbers = iter(range(150))
     tally = on_a_line(name, TIMEOUT, 20, lambda: next(numbers, None) is not None)
     assert tally.is_good, f"\n{tally}"
@@ -25,7 +25,7 @@ def test_no_fault_goes_unnoticed(name: str) -> None:
     assert tally.errors.total() > 0
 
 
-def test_what_is_injected_is_what_the_framing_can_notice() -> None:
+def test_injected_damage_is_what_a_framing_can_detect() -> None:
     """Damage gives no frame but the one that was sent; lateness does no damage."""
     framings: tuple[Framing, ...] = ("rtu", "ascii")
     for vector in FRAMES:

@@ -36,7 +36,7 @@ Ask = Callable[[str], bytes]
 
 
 def server() -> Server:
-    """Return one whose registers hold their addresses."""
+    """Return a server whose registers hold their addresses."""
     mapping = Mapping(holding_registers=10)
     mapping.holding_registers[:] = range(10)
     return Server({1: Device(mapping)})
@@ -85,7 +85,7 @@ def secured(pki: Pki) -> Ask:
 def ask_while_failing(
     trial: Trial, background: AbstractContextManager[Any], ask: Ask, answer: bytes
 ) -> None:
-    """Begin to serve and end it while calls fail; in between the answer must come."""
+    """Begin to serve and end it while calls fail; in between, a request must be answered."""
     with contextlib.ExitStack() as stack:
         running = None
         with trial.faults(RuntimeError):
@@ -103,7 +103,7 @@ def serving(url: str, ask: Ask, answer: bytes, make: Callable[[], Server] = serv
 
     def scenario(trial: Trial) -> None:
         ask_while_failing(trial, make().background(url), ask, answer)
-        with make().background(url) as again:  # nothing holds the address any more
+        with make().background(url) as again:  # no socket keeps the address
             assert again.urls
 
     return scenario
@@ -116,11 +116,11 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("libmodbus_py.server.peers.RETRY_AFTER", 0.001)
 
 
-def test_a_tcp_server_outlives_errors_of_the_system() -> None:
+def test_a_tcp_server_continues_after_errors_of_the_system() -> None:
     try_faults(serving("tcp://127.0.0.1:0", over(socket.SOCK_STREAM), TCP_ANSWER), *PART)
 
 
-def test_a_udp_server_outlives_errors_of_the_system() -> None:
+def test_a_udp_server_continues_after_errors_of_the_system() -> None:
     try_faults(serving("udp://127.0.0.1:0", over(socket.SOCK_DGRAM), TCP_ANSWER), *PART)
 
 
@@ -133,12 +133,12 @@ def line() -> Iterator[tuple[int, str]]:
     os.close(near)
 
 
-def test_a_serial_server_outlives_errors_of_the_system(line: tuple[int, str]) -> None:
+def test_a_serial_server_continues_after_errors_of_the_system(line: tuple[int, str]) -> None:
     far, path = line
     try_faults(serving(f"rtu://{path}?baudrate=115200", on_far_end(far), LINE_ANSWER), *PART)
 
 
-def test_a_tls_server_outlives_errors_of_the_system(tmp_path: Path) -> None:
+def test_a_tls_server_continues_after_errors_of_the_system(tmp_path: Path) -> None:
     pki = Pki(tmp_path)
 
     def make() -> Server:

@@ -63,12 +63,12 @@ def passing(device: str) -> Scenario:
     return scenario
 
 
-def test_a_gateway_from_tcp_to_tcp_outlives_errors_of_the_system() -> None:
+def test_a_gateway_from_tcp_to_tcp_continues_after_errors_of_the_system() -> None:
     with FakeServer(each_echoed) as server:
         try_faults(passing(f"{server.url}?timeout=0.02&max_pause=0"), *GATEWAY)
 
 
-def test_a_gateway_to_a_serial_line_outlives_errors_of_the_system() -> None:
+def test_a_gateway_to_a_serial_line_continues_after_errors_of_the_system() -> None:
     with FakeUnit(on_line) as unit:
         url = f"rtu://{unit.path}?baudrate=115200&timeout=0.02&max_pause=0"
         try_faults(passing(url), *GATEWAY)
@@ -108,7 +108,7 @@ def is_up(fleet: Fleet) -> bool:
     return all(device.state is DeviceState.UP for device in fleet.devices.values())
 
 
-def test_a_fleet_outlives_errors_of_the_system(tmp_path: Path) -> None:
+def test_a_fleet_continues_after_errors_of_the_system(tmp_path: Path) -> None:
     with FakeServer(each_echoed) as server, FakeUnit(on_line) as unit:
         urls = [
             f"{server.url}?timeout={SHORT}&max_pause=0",
@@ -118,7 +118,7 @@ def test_a_fleet_outlives_errors_of_the_system(tmp_path: Path) -> None:
 
 
 def hearing(url: str, between: str | None, say: Callable[[str], None]) -> Scenario:
-    """Listen to one transaction while calls fail, and to another when they do not any more."""
+    """Listen to one transaction while calls fail, and to another one afterwards."""
 
     def scenario(trial: Trial) -> None:
         with contextlib.ExitStack() as stack:
@@ -135,7 +135,7 @@ def hearing(url: str, between: str | None, say: Callable[[str], None]) -> Scenar
     return scenario
 
 
-def test_a_listener_on_a_line_outlives_errors_of_the_system(line: tuple[int, str]) -> None:
+def test_a_listener_on_a_line_continues_after_errors_of_the_system(line: tuple[int, str]) -> None:
     far, path = line
 
     def say(url: str) -> None:
@@ -153,7 +153,7 @@ def is_passed_on(url: str) -> bool:
     return False
 
 
-def test_a_tap_outlives_errors_of_the_system() -> None:
+def test_a_tap_continues_after_errors_of_the_system() -> None:
     def say(url: str) -> None:
         assert eventually(lambda: is_passed_on(url))
 
@@ -165,7 +165,7 @@ def test_a_tap_outlives_errors_of_the_system() -> None:
 
 
 def got(url: str, path: str, until: bytes) -> bytes:
-    """Return what comes for a request, up to some bytes in it."""
+    """Return the bytes received for a request, up to some bytes in them."""
     where, _, token = url.partition("?")
     host, _, port = where.removeprefix("http://").strip("/").rpartition(":")
     answer = b""
@@ -201,14 +201,14 @@ def shown() -> Scenario:
     return scenario
 
 
-def test_pages_outlive_errors_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pages_continue_after_errors_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("libmodbus_py.tools.timed_server.SWEEP", 0.005)
     monkeypatch.setattr("libmodbus_py.tools.page.streams.PERIOD", 0.005)
     try_faults(shown(), "tools.page")
 
 
 def unit(request: bytes) -> list[bytes]:
-    """Answer reads of holding registers, and all else with exception 1."""
+    """Answer reads of holding registers, and all other requests with exception 1."""
     if request[1] == 3:
         return on_line(request)
     body = bytes([request[0], request[1] | 0x80, 1])

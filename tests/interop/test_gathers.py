@@ -20,7 +20,7 @@ from tests.support.interop import HOLDING_REGISTERS, UNIT, holding_register
 from tests.support.peers import FakeServer, mbap
 from tests.support.pymodbus_peers import pymodbus_serving
 
-REGISTER = HOLDING_REGISTERS.start  # the register that is written; the reads are of those behind it
+REGISTER = HOLDING_REGISTERS.start  # the register of writes; reads begin after it
 
 COUNT = 50
 VALUES = list(range(1, COUNT + 1))
@@ -99,7 +99,7 @@ def served(request: pytest.FixtureRequest) -> Iterator[Served]:
 
 
 def gather(url: str, requests: list[Any]) -> tuple[list[Any], Any]:
-    """Return the results of requests that a new client is given at once, and its statistics."""
+    """Return the results of requests that a new client sends at once, and its statistics."""
 
     async def ask() -> tuple[list[Any], Any]:
         async with AsyncClient(url, unit=UNIT) as plc:

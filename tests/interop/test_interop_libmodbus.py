@@ -90,7 +90,7 @@ PATIENCE = {"refused": TIMEOUT, "pinned": 0.2}
 
 
 def what_it_lacks(transport: str) -> Iterator[Exchange]:
-    """Yield each request with the errors that may come of it in place of an answer."""
+    """Yield each request that libmodbus lacks, with its possible errors."""
     for function, ask in LACKING.items():
         if function == 7:
             # modbus_reply names it, and does nothing with it: "FIXME Not implemented" in 3.1.6;
@@ -133,7 +133,7 @@ C_CLIENT_REFUSALS = tuple(code for code in C_CLIENT_CALLS if code != 17)
 
 
 def run_c_client(client: Path, end: Endpoint) -> set[str]:
-    """Return the lines that it prints; one that hangs is ended, and its lines are missed."""
+    """Return the lines that the client prints; a client that hangs is ended."""
     where = [end.path, BAUDRATE] if end.is_serial else [end.port]
     command = (client, end.scheme, *where, UNIT)
     with program(*command) as process, contextlib.suppress(subprocess.TimeoutExpired):
@@ -143,7 +143,7 @@ def run_c_client(client: Path, end: Endpoint) -> set[str]:
 
 @pytest.fixture(scope="module")
 def c_client_runs(compiled: Callable[[str], Path]) -> Callable[[str], tuple[set[str], Device]]:
-    """Gives what the C client printed over a transport, and the device it left behind."""
+    """Return the lines that the C client printed over a transport, and its device afterwards."""
     runs: dict[str, tuple[set[str], Device]] = {}
 
     def run(transport: str) -> tuple[set[str], Device]:
@@ -157,7 +157,7 @@ def c_client_runs(compiled: Callable[[str], Path]) -> Callable[[str], tuple[set[
 
 
 @each_transport
-def test_c_client_is_content_with_our_server(
+def test_a_c_client_and_our_server_agree(
     c_client_runs: Callable[[str], tuple[set[str], Device]], transport: str, record_property: Record
 ) -> None:
     output, _ = c_client_runs(transport)
@@ -175,7 +175,7 @@ def test_c_client_is_content_with_our_server(
 
 
 @each_transport
-def test_c_client_leaves_its_writes_in_our_mapping(
+def test_a_c_client_writes_into_our_mapping(
     c_client_runs: Callable[[str], tuple[set[str], Device]], transport: str
 ) -> None:
     _, device = c_client_runs(transport)
@@ -196,7 +196,7 @@ def test_c_client_leaves_its_writes_in_our_mapping(
     "server_id",
     [
         pdu.ServerId(b"\x2a", False),
-        pdu.ServerId(b"\x2a", True, bytes(range(249))),  # all that a message holds
+        pdu.ServerId(b"\x2a", True, bytes(range(249))),  # as many bytes as fit into a message
     ],
     ids=["least", "most"],
 )

@@ -36,7 +36,7 @@ Polled = subprocess.CompletedProcess[str]
 def mbpoll(
     end: Endpoint, table: int, first: int, *, count: int | None = None, write: tuple[int, ...] = ()
 ) -> Polled:
-    """Run it once, with addresses from 0 on."""
+    """Run mbpoll once, with addresses from 0 on."""
     if end.transport == "tcp":
         line, where = ["-m", "tcp", "-p", end.port], end.host
     else:
@@ -54,7 +54,7 @@ def mbpoll(
 
 
 def printed_values(process: Polled) -> dict[int, int]:
-    """Read its lines like "[100]: 65535 (-1)"."""
+    """Read the lines of mbpoll, such as "[100]: 65535 (-1)"."""
     lines = re.findall(r"^\[(\d+)\]:\s+(\d+)", process.stdout, re.MULTILINE)
     return {int(address): int(value) for address, value in lines}
 
@@ -88,7 +88,7 @@ def over_each_transport(names: str, cases: dict[tuple[int, str], tuple[object, .
         (4, "most"): (INPUT_REGISTERS, 275, 125, input_register),
     },
 )
-def test_mbpoll_prints_what_our_table_holds(
+def test_mbpoll_prints_the_values_of_our_table(
     transport: str, function: int, table: int, first: int, count: int, value: Callable[[int], int]
 ) -> None:
     with our_server(transport, {UNIT: make_device()}) as place:

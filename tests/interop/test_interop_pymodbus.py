@@ -64,7 +64,7 @@ def asking(transport: str, device: Device | None = None, timeout: float = TIMEOU
 
 
 class Asked(NamedTuple):
-    """One request of pymodbus's client, and what our device has to say to it."""
+    """One request of pymodbus's client, and the expected answer of our device."""
 
     function: int
     name: str
@@ -80,7 +80,7 @@ message, registers = attrgetter("message"), attrgetter("registers")
 
 
 def bits(count: int) -> Callable[[Any], list[bool]]:
-    """It gives whole bytes of bits; what is beyond the count means nothing."""
+    """pymodbus returns whole bytes of bits; those beyond the count are ignored."""
     return lambda response: response.bits[:count]
 
 
@@ -242,7 +242,7 @@ def asked_beside_the_tables() -> Iterator[Asked]:
 
 
 class Unknown(ModbusPDU):
-    """A request of any code; it has no other way to send one."""
+    """A request of any code; pymodbus can send one in no other way."""
 
     def __init__(self, function: int) -> None:
         super().__init__(dev_id=UNIT)
@@ -389,7 +389,7 @@ def test_pymodbus_client_silences_our_device_and_wakes_it(transport: str) -> Non
         assert client.diag_force_listen_only(device_id=UNIT) is None
         with pytest.raises(ModbusIOException):
             client.read_coils(12, device_id=UNIT)
-        # The restart is silence, too, and the way out.
+        # The restart has no answer either, and ends the mode.
         assert client.execute(True, RestartCommunicationsOptionRequest(0, dev_id=UNIT)) is None
         client.comm_params.timeout_connect = TIMEOUT
         assert client.read_coils(12, device_id=UNIT).bits[0] is True
@@ -421,14 +421,14 @@ class TestWherePymodbusClientErrs:
             pytest.param(code, ask, id=case_id("pymodbus", "server", code, function, "pinned"))
             for code in ON_RTU
             for function, ask in (
-                # It counts two bytes too few, and then finds no CRC.
+                # pymodbus counts two bytes too few, and then finds no CRC.
                 (24, lambda client: client.read_fifo_queue(address=100, device_id=UNIT)),
-                # It takes every message of function 8 for 8 bytes.
+                # pymodbus takes every message of function 8 for 8 bytes.
                 (8, lambda client: client.diag_query_data(b"abcd", device_id=UNIT)),
             )
         ],
     )
-    def test_answers_it_cannot_measure_are_silence_to_it(self, transport, ask) -> None:
+    def test_pymodbus_times_out_on_answers_of_unknown_length(self, transport, ask) -> None:
         with our_server(transport, {UNIT: make_device()}) as place:
             with (
                 pymodbus_client(str(place.end), timeout=0.2) as client,
@@ -439,7 +439,7 @@ class TestWherePymodbusClientErrs:
             assert pdu.RawRequest(answer[1]).decode_response(answer[1:-2])
 
     @over("server", 8, "pinned", "delimiter")
-    def test_delimiter_must_be_shifted_by_hand(self, transport: str) -> None:
+    def test_the_delimiter_for_pymodbus_must_be_shifted_by_hand(self, transport: str) -> None:
         with asking(transport) as client:
             response = client.diag_change_ascii_input_delimeter(delimiter=0x0A00, device_id=UNIT)
             assert response.message == 0x0A00
@@ -455,7 +455,7 @@ class TestWherePymodbusClientErrs:
             assert device.mapping.coils[10:1979] == cells(coil, 10, 1969)
 
     @over("server", 20, "pinned")
-    def test_record_length_is_halved_on_the_way(self, transport: str) -> None:
+    def test_pymodbus_halves_the_record_length(self, transport: str) -> None:
         # record_length is in bytes for it, although the field of the frame is in
         # registers: 4 asks for two registers, and an odd one cannot be asked for.
         piece = FileRecord(file_number=4, record_number=7, record_length=4)

@@ -63,7 +63,7 @@ def pymodbus_server(transport: str, **options: Any) -> Iterator[Client]:
 
 
 def exchanges_beside_the_tables() -> Iterator[Exchange]:
-    """Its counters, log and register are always 0, for nothing in it counts."""
+    """The counters, log and register of pymodbus are always 0."""
     yield Exchange(7, "status", lambda c: c.read_exception_status(), 0)
     yield Exchange(8, "query", lambda c: c.diagnostics(0, 0xA537), 0xA537)
     yield Exchange(8, "restart", lambda c: c.diagnostics(1, 0xFF00), 0xFF00)
@@ -72,7 +72,7 @@ def exchanges_beside_the_tables() -> Iterator[Exchange]:
         yield Exchange(8, name, lambda c, sub_function=sub_function: c.diagnostics(sub_function), 0)
     yield Exchange(11, "counter", lambda c: c.read_comm_event_counter(), (0, 0))
     yield Exchange(12, "log", lambda c: c.read_comm_event_log(), (0, 0, 0, b""))
-    # The same four registers, whatever is asked for; it has no queues.
+    # The same four registers for any address; pymodbus has no queues.
     yield Exchange(24, "pinned", lambda c: c.read_fifo_queue(65535), [0, 1, 2, 3])
     # The identifier should come first and the run indicator next; it has them the other
     # way round, and no end that one could find.
@@ -135,7 +135,7 @@ UNHEARD |= {"ascii": 1.0, "ascii+tcp": 1.0, "rtu": 0.2, "rtu+tcp": 0.2}
 
 class TestWherePymodbusServerErrs:
     @over("client", 20, "pinned")
-    def test_file_reads_give_its_dummy_or_an_error(self, transport: str) -> None:
+    def test_file_reads_return_the_dummy_of_pymodbus_or_an_error(self, transport: str) -> None:
         # Whatever file, record and length are asked for, it answers these 20 bytes.
         # We believe them where ten registers were asked for; any other length is no
         # answer. An odd length it cannot decode, and answers function 0 with 80 01.
@@ -152,14 +152,14 @@ class TestWherePymodbusServerErrs:
             assert context.read_holding_registers(100, 1) == [1100]
 
     @over("client", 21, "pinned")
-    def test_file_writes_are_echoed_and_not_done(self, transport: str) -> None:
+    def test_pymodbus_echoes_file_writes_without_writing(self, transport: str) -> None:
         with pymodbus_server(transport) as context:
             values = list(range(10))
             context.write_file_records([(4, 0, values), (3, 5, [1, 2, 3])])
             assert context.read_file_records([(4, 0, 10)]) != [values]
 
     @over("client", 23, "pinned")
-    def test_refused_read_write_has_written(self, transport: str) -> None:
+    def test_a_refused_read_write_of_pymodbus_has_written(self, transport: str) -> None:
         # Its write is done before the read is checked; that we pass on, and our own
         # server writes nothing (test_pymodbus_client_sees_our_refusal...).
         with pymodbus_server(transport) as context:
@@ -192,7 +192,7 @@ class TestWherePymodbusServerErrs:
             assert context.read_coils(12, 1) == [True]
 
     @over("client", 8, "pinned", "delimiter", transports=("ascii", "ascii+tcp"))
-    def test_echo_of_a_new_delimiter_ends_with_it(self, control: Any, transport: str) -> None:
+    def test_pymodbus_answers_with_the_new_delimiter(self, control: Any, transport: str) -> None:
         # The delimiter is that of the process, and changes before the echo goes out:
         # which then has no end for us.
         with pymodbus_server(transport, timeout=1.0) as context:
@@ -201,19 +201,19 @@ class TestWherePymodbusServerErrs:
             assert caught.value.received.endswith(b"\r$")
 
     @over("client", 8, "pinned")
-    def test_wrong_data_and_reserved_sub_functions_are_answered(self, transport: str) -> None:
+    def test_pymodbus_answers_wrong_data_and_reserved_sub_functions(self, transport: str) -> None:
         with pymodbus_server(transport) as context:
             assert context.diagnostics(SubFunction.BUS_MESSAGE_COUNT, 7) == 0  # should be 3
             assert context.diagnostics(0x13) == 0  # should be 1
 
     @over("client", 8, "pinned", "long", transports=ON_RTU)
-    def test_query_data_of_more_than_a_word_are_lost_on_it(self, transport: str) -> None:
-        # It takes every message of function 8 for 8 bytes.
+    def test_pymodbus_loses_query_data_of_more_than_a_word(self, transport: str) -> None:
+        # pymodbus takes every message of function 8 for 8 bytes.
         with pymodbus_server(transport, timeout=0.2) as context, pytest.raises(ModbusTimeoutError):
             context.execute(pdu.Diagnostics(0, b"abcd"))
 
     @over("client", 8, "query-most", transports=NOT_RTU)
-    def test_query_data_of_any_length_come_back_otherwise(self, transport: str) -> None:
+    def test_pymodbus_returns_other_query_data_of_any_length(self, transport: str) -> None:
         with pymodbus_server(transport) as context:
             data = bytes(range(250))
             assert context.execute(pdu.Diagnostics(0, data)) == data
@@ -228,8 +228,8 @@ class TestWherePymodbusServerErrs:
             )
         ],
     )
-    def test_canopen_is_refused_or_not_heard(self, transport, error) -> None:
-        # On RTU it has no length for it, and waits.
+    def test_pymodbus_refuses_or_ignores_canopen(self, transport, error) -> None:
+        # On RTU pymodbus has no length for this function, and waits.
         with (
             pymodbus_server(transport, timeout=UNHEARD[transport]) as context,
             pytest.raises(error),
@@ -237,7 +237,7 @@ class TestWherePymodbusServerErrs:
             context.encapsulated_transport(13, b"abc")
 
     @each_transport
-    def test_unknown_function_is_answered_by_function_0_or_not_heard(
+    def test_pymodbus_answers_unknown_functions_with_function_0_or_not_at_all(
         self, transport: str, record_property: Record
     ) -> None:
         # 80 01 instead of the code with 80 and 01; on RTU it has no length, and waits.
@@ -263,7 +263,7 @@ class TestWherePymodbusServerErrs:
             assert context.read_holding_registers(100, 2) == [8, 1101]
 
 
-def test_registers_behind_the_end_are_left_out() -> None:
+def test_points_without_registers_in_pymodbus_are_left_out() -> None:
     """Of twenty points the last three lie where pymodbus has no registers."""
     end = HOLDING_REGISTERS.stop
     first = end - 17

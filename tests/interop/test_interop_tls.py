@@ -107,7 +107,7 @@ def test_clients_talk_with_s_server(connect: Connect, pki: Pki, version: str, ke
 
 
 @pytest.mark.parametrize("version", ["tls1_2", "tls1_3"])
-def test_s_server_refuses_a_certificate_of_others(connect: Connect, pki: Pki, version: str) -> None:
+def test_s_server_refuses_another_authority(connect: Connect, pki: Pki, version: str) -> None:
     own = pki.security(certificates.client(issuer=certificates.foreign_authority()))
     with (
         s_server(pki, certificates.server(), f"-{version}") as server,
@@ -120,7 +120,7 @@ def test_s_server_refuses_a_certificate_of_others(connect: Connect, pki: Pki, ve
 @pytest.mark.parametrize(
     "options", [["-tls1_2", "-cipher", "AES128-GCM-SHA256"], ["-no_tls1_3", "-no_tls1_2"]]
 )
-def test_s_server_with_nothing_in_common(connect: Connect, pki: Pki, options: list[str]) -> None:
+def test_s_server_without_common_ciphers(connect: Connect, pki: Pki, options: list[str]) -> None:
     """Without ephemeral keys; and without a version that R-01 allows."""
     identity = certificates.server(key=certificates.rsa_key())
     with s_server(pki, identity, *options) as server:
@@ -130,7 +130,7 @@ def test_s_server_with_nothing_in_common(connect: Connect, pki: Pki, options: li
         plc.close()
 
 
-def test_pymodbus_refuses_a_certificate_of_others(connect: Connect, pki: Pki) -> None:
+def test_pymodbus_refuses_a_certificate_of_another_authority(connect: Connect, pki: Pki) -> None:
     """asyncio closes without the alert that would say so."""
     own = pki.security(certificates.client(issuer=certificates.foreign_authority()))
     with (
@@ -197,7 +197,7 @@ def test_pymodbus_asyncio_client_has_many_requests_in_flight(pki: Pki) -> None:
         answers = await asyncio.gather(*reads)
         transport = client.ctx.transport
         client.close()
-        transport.abort()  # else it waits for our last word, and the loop may be gone before
+        transport.abort()  # otherwise it waits for our close notify after the loop has closed
         return [answer.bits[:8] for answer in answers]
 
     with our_tls_server(pki, {UNIT: make_device()}) as wire:
@@ -207,10 +207,10 @@ def test_pymodbus_asyncio_client_has_many_requests_in_flight(pki: Pki) -> None:
 def test_pymodbus_client_without_a_certificate_gets_no_answer(pki: Pki) -> None:
     with our_tls_server(pki, {UNIT: make_device()}) as wire:
         context_ = context(pki)
-        context_.check_hostname = False  # its blocking client does not tell ssl whom it wants
+        context_.check_hostname = False  # pymodbus does not pass the host to ssl
         client = ModbusTlsClient("127.0.0.1", port=wire.port, sslctx=context_, timeout=1, retries=0)
         try:
-            assert client.connect()  # TLS 1.3: the refusal comes behind its handshake
+            assert client.connect()  # TLS 1.3: the refusal follows the handshake
             with pytest.raises((ssl.SSLError, OSError)):
                 client.read_coils(12, device_id=UNIT)
         finally:

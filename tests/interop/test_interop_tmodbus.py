@@ -36,7 +36,7 @@ tmodbus = pytest.importorskip("tmodbus", reason="tmodbus needs Python 3.12")
 VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
 
 
-# Function -> what is asked, and the answer; None where there is none to look at.
+# Function -> the call, and its result; None without a result.
 ASKED: dict[int, tuple[Any, Any]] = {
     1: (lambda c: c.read_coils(12, 3), cells(coil, 12, 3)),
     2: (lambda c: c.read_discrete_inputs(20, 9), [number % 5 < 2 for number in range(20, 29)]),
@@ -73,7 +73,7 @@ def ask(pki: Pki, port: int, request: Any, version: ssl.TLSVersion) -> Any:
 @pytest.mark.parametrize(
     "function", [pytest.param(item, id=case_id("tmodbus", "server", "tls", item)) for item in ASKED]
 )
-def test_its_client_and_our_server_agree(pki: Pki, function: int, version: ssl.TLSVersion) -> None:
+def test_a_tmodbus_client_and_our_server_agree(pki: Pki, function: int, version: ssl.TLSVersion):
     request, result = ASKED[function]
     with our_tls_server(pki, {UNIT: make_device()}) as wire:
         assert ask(pki, wire.port, request, version) == result
@@ -81,7 +81,7 @@ def test_its_client_and_our_server_agree(pki: Pki, function: int, version: ssl.T
 
 @contextlib.contextmanager
 def its_server(pki: Pki, roles: list[str | None]) -> Iterator[int]:
-    """It answers reads with their addresses to an operator, and refuses all others."""
+    """A tmodbus server that answers an operator's reads with their addresses, and no others."""
     from tmodbus.exceptions import IllegalFunctionError
     from tmodbus.pdu import ReadHoldingRegistersPDU, WriteMultipleRegistersPDU
     from tmodbus.server import AsyncTcpServer, ModbusRequestRouter
@@ -130,7 +130,7 @@ def its_server(pki: Pki, roles: list[str | None]) -> Iterator[int]:
         thread.join()
 
 
-def test_our_context_and_its_server_agree(pki: Pki) -> None:
+def test_our_context_and_a_tmodbus_server_agree(pki: Pki) -> None:
     roles: list[str | None] = []
     with its_server(pki, roles) as port:
         url = f"tls://127.0.0.1:{port}?unit={UNIT}&timeout={TIMEOUT}"
@@ -147,7 +147,7 @@ def test_our_context_and_its_server_agree(pki: Pki) -> None:
     assert roles == ["Operator"] * 4 + ["Guest"]
 
 
-def test_our_asyncio_client_and_its_server_agree(pki: Pki) -> None:
+def test_our_asyncio_client_and_a_tmodbus_server_agree(pki: Pki) -> None:
     roles: list[str | None] = []
 
     async def read(port: int) -> list[list[int]]:

@@ -42,7 +42,7 @@ class Registers:
 
 
 def leaving(after: int, error: ModbusError) -> Callable[[Registers, Any], Any]:
-    """Return what a device answers that fails after so many requests."""
+    """Return a device that fails after so many requests."""
     return lambda device, answer: answer if len(device.asked) <= after else error
 
 

@@ -76,7 +76,7 @@ def test_a_failed_read_leaves_all_values_as_they_were() -> None:
 
 
 class NoClient:
-    """Answers nothing, and must not be asked."""
+    """An object that is no client, and must not be used."""
 
     def read_map(self, *_: Any, **__: Any) -> Any:
         raise AssertionError
@@ -107,7 +107,7 @@ def test_wrong_names_are_refused_before_anything_is_sent(use, error, message) ->
         use(MAP.bind(NoClient()))
 
 
-def test_what_is_no_client_is_refused() -> None:
+def test_an_object_that_is_no_client_is_refused() -> None:
     with pytest.raises(TypeError, match="client must be a client, not str"):
         MAP.bind("tcp://192.0.2.10")  # type: ignore[arg-type]
 

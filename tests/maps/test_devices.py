@@ -32,7 +32,7 @@ def cells_of(answer: dict[str, Any]) -> tuple[str, int, list[int]]:
 
 
 @each_case("path", DEVICES)
-def test_answers_mean_what_the_file_says(path: Path) -> None:
+def test_answers_decode_to_the_values_of_the_file(path: Path) -> None:
     """Read by its map from a server that gives these answers, each point has its value."""
     tables: dict[str, dict[int, list[int]]] = {}
     values: dict[str, Any] = {}

@@ -39,7 +39,7 @@ def written(folder: Path, text: str, encoding: str = "utf-8") -> Path:
 
 
 @each_case(("text", "options", "names", "registers"), LISTS)
-def test_a_list_gives_the_values_of_its_origin(tmp_path, text, options, names, registers) -> None:
+def test_a_list_has_the_values_of_its_source(tmp_path, text, options, names, registers) -> None:
     map = load_map(written(tmp_path, text, options.get("encoding", "utf-8")), **options)
     for name, cells, value in registers:
         assert map[name].decode(cells) == value, name
@@ -47,7 +47,7 @@ def test_a_list_gives_the_values_of_its_origin(tmp_path, text, options, names, r
 
 
 @each_case(("text", "options", "names", "registers"), LISTS)
-def test_each_option_is_named_by_a_message(tmp_path, text, options, names, registers) -> None:
+def test_a_message_names_each_missing_option(tmp_path, text, options, names, registers) -> None:
     path = written(tmp_path, text, options.get("encoding", "utf-8"))
     messages = []
     for name in ("nothing", *options):
@@ -87,7 +87,7 @@ def test_addresses_tables_and_accesses_of_lists(tmp_path: Path) -> None:
     )
 
 
-def test_bounds_and_initial_values_of_a_list_are_raw_where_its_origin_says_so(tmp_path) -> None:
+def test_bounds_and_initial_values_are_raw_where_the_source_of_a_list_says_so(tmp_path) -> None:
     map = load_map(written(tmp_path, TEXTS["nibe_f"]), origin="nibe")
     minutes, offset = map["Degree minutes"], map["Offset"]
     assert (minutes.minimum, minutes.maximum) == (-3000, 3000)
@@ -97,7 +97,7 @@ def test_bounds_and_initial_values_of_a_list_are_raw_where_its_origin_says_so(tm
     assert Device.of_map(map, {"Offset": 3})["Offset"] == 3
 
 
-def test_a_column_of_initial_values(tmp_path: Path) -> None:
+def test_initial_values_come_from_a_column(tmp_path: Path) -> None:
     text = (
         "name,table,address,type,scale,initial value\n"
         "a,holding,0,uint16,0.1,21.5\nb,holding,1,string:4,,007\nc,coils,0,,,true\nd,coils,1,,,\n"
@@ -117,11 +117,11 @@ def load_text(folder: Path, text: str) -> None:
         raise ValueError(str(error).replace(str(folder), "FOLDER")) from None
 
 
-def test_what_would_be_lost_is_refused_with_its_line(tmp_path: Path, refused: Refused) -> None:
+def test_a_value_that_would_be_lost_is_refused_with_its_line(tmp_path: Path, refused: Refused):
     refused("losses.txt", lambda text: load_text(tmp_path, text))
 
 
-def test_what_has_two_meanings_is_refused_with_the_option_that_says_which(
+def test_an_ambiguous_cell_is_refused_with_the_option_that_decides(
     tmp_path: Path, refused: Refused
 ) -> None:
     refused("two_meanings.txt", lambda text: load_text(tmp_path, text))
@@ -152,7 +152,7 @@ def test_the_number_of_registers_is_checked(tmp_path: Path) -> None:
         load_map(written(tmp_path, "name,address,type\na,40001-40003,int32\n"))
 
 
-def test_rows_that_no_map_can_express_are_left_out_with_their_line(tmp_path: Path) -> None:
+def test_rows_that_no_map_can_express_are_left_out_and_noted_with_their_line(tmp_path: Path):
     contents = contents_of(written(tmp_path, TEXTS["modpoll"]), 20, ListOptions(origin="modpoll"))
     assert list(contents.points) == ["reg01", "reg10", "reg13"]
     (mistake,) = contents.mistakes
@@ -160,7 +160,7 @@ def test_rows_that_no_map_can_express_are_left_out_with_their_line(tmp_path: Pat
     assert "write a row for each" in str(mistake)
 
 
-def test_an_origin_is_known_by_all_of_its_headings(tmp_path: Path) -> None:
+def test_a_known_list_format_needs_all_of_its_headings(tmp_path: Path) -> None:
     assert "read as a list of nibe, whose headings it has" in (
         contents_of(written(tmp_path, TEXTS["nibe_f"]), 1).notes
     )
@@ -168,7 +168,7 @@ def test_an_origin_is_known_by_all_of_its_headings(tmp_path: Path) -> None:
         load_map(written(tmp_path, TEXTS["nibe_f"].replace("Default;", "Usual;")))
 
 
-def test_names_that_repeat_get_their_address(tmp_path: Path) -> None:
+def test_repeated_names_get_their_address(tmp_path: Path) -> None:
     contents = contents_of(written(tmp_path, TEXTS["nibe_f"]), 1, ListOptions(origin="nibe"))
     assert "names that occur twice have their address behind: 8, 9" in contents.notes
 
@@ -210,7 +210,7 @@ def test_words_of_types_with_an_order(tmp_path: Path, word: str, type: str, orde
 
 
 @pytest.mark.parametrize(("word", "value"), [("u8", 0xFB), ("INT8", -5), ("UINT8", 0xFB)])
-def test_a_type_of_a_byte_is_the_low_one(tmp_path: Path, word: str, value: int) -> None:
+def test_a_type_of_one_byte_is_the_low_byte(tmp_path: Path, word: str, value: int) -> None:
     (point,) = load_map(written(tmp_path, f"{HEAD}\na,holding,0,{word}\n")).values()
     assert point.decode([0x01FB]) == value
 
@@ -247,7 +247,7 @@ def test_a_spreadsheet_is_a_list(tmp_path: Path) -> None:
         load_map(path, sheet="More")
 
 
-def test_merged_cells_stand_in_each_of_their_rows(tmp_path: Path) -> None:
+def test_merged_cells_count_in_each_of_their_rows(tmp_path: Path) -> None:
     rows = [
         ["Name", "Register", None, "Type"],
         [None, "Address", "Quantity", None],
@@ -285,7 +285,7 @@ def test_defaults_of_a_map_in_toml(tmp_path: Path) -> None:
     ]
 
 
-def test_what_a_map_says_beside_its_requests_is_checked(tmp_path, capsys) -> None:
+def test_bounds_and_initial_values_in_maps_are_checked(tmp_path, capsys) -> None:
     from libmodbus_py.cli.main import main
 
     (tmp_path / "map.toml").write_text(

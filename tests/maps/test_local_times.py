@@ -47,7 +47,7 @@ MOMENTS = st.datetimes(datetime(2000, 1, 3), datetime(2090, 1, 1), timezones=st.
     type=st.sampled_from(TYPES),
     zone=st.sampled_from([BERLIN, "UTC", "Pacific/Chatham", "America/St_Johns", "Asia/Tokyo"]),
 )
-def test_times_in_any_zone_come_back(time: datetime, type: str, zone: str) -> None:
+def test_times_in_any_zone_decode_to_what_was_encoded(time: datetime, type: str, zone: str) -> None:
     time = time.replace(microsecond=0)
     point = clock(type, zone)
     result = point.decode(point.encode(time))
@@ -65,7 +65,7 @@ def test_a_missing_value_is_one_of_the_registers() -> None:
     assert point.decode([0, 7200]) == datetime(1970, 1, 1, 1, tzinfo=UTC)
 
 
-def test_points_of_several_times_come_back() -> None:
+def test_points_of_several_times_decode_to_what_was_encoded() -> None:
     point = clock(count=2)
     moments = [datetime(2024, 1, 1, hour, tzinfo=UTC) for hour in (0, 1)]
     assert point.decode(point.encode(moments)) == moments

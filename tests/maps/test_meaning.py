@@ -44,13 +44,13 @@ SUNSPEC = [
 
 
 @each_case(("type", "cells"), SUNSPEC)
-def test_not_implemented_of_sunspec_is_no_value(type: str, cells: list[int]) -> None:
+def test_the_sunspec_value_not_implemented_decodes_to_no_value(type: str, cells: list[int]) -> None:
     point_ = point(type=type, missing="sunspec")
     assert point_.judge(cells) == MISSING
     assert point_.decode([0x4100] + [0x4101] * (len(cells) - 1)) is not None
 
 
-# Keys of a point, its cells, and what they mean.
+# The arguments of a point, its cells, and their value.
 MEANT = [
     ({"missing": 0xFFFF, "scale": 0.1}, [0xFFFF], MISSING),
     ({"missing": 0xFFFF, "scale": 0.1}, [0xFFFE], Value(6553.4)),
@@ -133,7 +133,7 @@ MEANT = [
 
 
 @each_case(("keys", "cells", "judged"), MEANT)
-def test_cells_are_judged_decoded(keys: dict[str, Any], cells: list[Any], judged: Value) -> None:
+def test_invalid_values_have_reasons(keys: dict[str, Any], cells: list[Any], judged: Value) -> None:
     point_ = point(**keys)
     assert point_.judge(cells) == judged
     assert point_.decode(cells) == judged.value
@@ -142,7 +142,7 @@ def test_cells_are_judged_decoded(keys: dict[str, Any], cells: list[Any], judged
 @given(st.integers(0, 0xFFFF_FFFF))
 @example(0x7F7F_FFFF)  # the largest
 @example(1)
-def test_a_float_is_the_shortest_number_that_the_device_has_as_it(bits: int) -> None:
+def test_a_float_is_the_shortest_decimal_of_its_registers(bits: int) -> None:
     cells = [bits >> 16, bits & 0xFFFF]
     value = point(type="float32").decode(cells)
     exactly = struct.unpack(">f", bits.to_bytes(4, "big"))[0]
@@ -155,7 +155,7 @@ def test_a_float_is_the_shortest_number_that_the_device_has_as_it(bits: int) -> 
     assert len(repr(value)) <= len(repr(exactly))
 
 
-def test_a_plan_means_the_same_as_its_points() -> None:
+def test_a_plan_and_its_points_decode_alike() -> None:
     cases = [row for row in MEANT if row[0].get("table", H) == H and "scale_from" not in row[0]]
     points, cells = [], []
     for at, (keys, some, _) in enumerate(cases):
@@ -191,7 +191,7 @@ def scaled(cells: list[int], names: list[str] | None = None, **options: Any) -> 
     return plan.results(answers, **options)
 
 
-def test_a_point_scales_others() -> None:
+def test_a_point_can_be_the_scale_of_others() -> None:
     cells = [2305, 0, 700, 0xFFFF, 9, 40, 3, 20]
     assert scaled(cells) == {
         "v": 230.5, "w": 69.0, "v_sf": -1, "energy": 180, "ratio": 40, "far": 6.0,
@@ -200,14 +200,14 @@ def test_a_point_scales_others() -> None:
     assert repr(scaled([2305, 0, 7, 0, 9, 40, 3, 20])["v"]) == "2305"
 
 
-def test_the_scale_is_read_along() -> None:
+def test_a_plan_reads_the_point_of_the_scale_too() -> None:
     plan = SCALED.plan(["far"])
     read = [(item.address, item.count) for item in plan.requests]  # type: ignore[attr-defined]
     assert read == [(3, 1), (6, 2)]
     assert plan.results([[0xFFFE], [3, 200]]) == {"far": 6}
 
 
-# The register with the exponent, and the reason why nothing is scaled by it.
+# The register with the exponent, and the reason without a scaled value.
 EXPONENTS = [
     (300, "v has no value: v_sf, which scales it, must hold a power of ten in -30..30, not 300"),
     (
@@ -219,7 +219,7 @@ EXPONENTS = [
 
 
 @each_case(("cell", "reason"), EXPONENTS)
-def test_no_value_without_a_scale(cell: int, reason: str) -> None:
+def test_a_value_without_a_scale_is_no_value(cell: int, reason: str) -> None:
     results = scaled([5, 0, 7, cell, 9, 40, 3, 20], return_exceptions=True)
     assert str(results["v"]) == reason
     assert results["v"].reason == results["w"].reason == results["far"].reason == "BadScale"
@@ -227,7 +227,7 @@ def test_no_value_without_a_scale(cell: int, reason: str) -> None:
     assert scaled([5, 0, 7, cell, 9, 40, 3, 20])["v"] is None
 
 
-def test_a_factor_of_0_scales_nothing() -> None:
+def test_a_factor_of_0_gives_no_value() -> None:
     assert scaled([5, 0, 7, 1, 9, 0, 3, 20], return_exceptions=True)["energy"].reason == "BadScale"
 
 
@@ -255,12 +255,12 @@ WRONG_SCALES = [
 
 
 @each_case(("points", "message"), WRONG_SCALES)
-def test_a_map_with_invalid_scales(points: list[Point], message: str) -> None:
+def test_a_map_with_invalid_scales_is_refused(points: list[Point], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         RegisterMap(points)
 
 
-def test_invalid_keys(refused: Refused) -> None:
+def test_a_map_with_invalid_keys_is_refused(refused: Refused) -> None:
     refused("wrong_meanings.txt", lambda keys: point(**keys))
 
 
@@ -304,7 +304,7 @@ def told(request: Any) -> tuple[int, ...]:
 
 
 @each_case(("values", "requests"), WRITES)
-def test_writes_of_parts(values: dict[str, Any], requests: list[tuple[int, ...]]) -> None:
+def test_parts_of_registers_are_written(values: dict[str, Any], requests: list[tuple[int, ...]]):
     assert [told(write) for write in PARTS.writes(values)] == requests
 
 
@@ -313,7 +313,7 @@ def test_writes_of_parts_that_are_impossible_are_refused(refused: Refused) -> No
 
 
 @given(st.integers(0, 0xFFFF), st.integers(0, 15), st.integers(0, 15), st.booleans())
-def test_parts_of_registers_come_back(cell: int, first: int, last: int, signed: bool) -> None:
+def test_parts_of_registers_decode_as_encoded(cell: int, first: int, last: int, signed: bool):
     first, last = sorted((first, last))
     point_ = point(bit=f"{first}..{last}", type="int16" if signed else "uint16")
     value = point_.decode([cell])
@@ -326,7 +326,7 @@ def test_parts_of_registers_come_back(cell: int, first: int, last: int, signed: 
 
 
 @given(st.integers(0, 0xFFFFFFFF), st.sampled_from(["ABCD", "CDAB", "BADC", "DCBA"]))
-def test_named_bits_come_back(number: int, order: str) -> None:
+def test_named_bits_decode_to_what_was_encoded(number: int, order: str) -> None:
     names: dict[int | str, str] = {0: "a", "1..15": "b", 16: "c", "17..31": "d"}
     point_ = point(type="uint32", order=order, bits=names)
     cells = point(type="uint32", order=order).encode(number)
@@ -359,7 +359,7 @@ def chain(count: int, first: str | None = None) -> Counting:
     return Counting(*points)
 
 
-def test_a_long_chain_is_followed_once() -> None:
+def test_each_point_of_a_long_chain_of_scales_is_visited_once() -> None:
     points = chain(1600)
     assert list(scale_mistakes(points)) == []
     assert points.looked_up <= 4 * 1600
@@ -368,7 +368,7 @@ def test_a_long_chain_is_followed_once() -> None:
     assert points.looked_up <= 4 * 1600
 
 
-def test_each_point_that_leads_back_is_named() -> None:
+def test_each_point_in_a_cycle_of_scales_is_named() -> None:
     mistakes = dict(scale_mistakes(chain(3, first="p1")))
     assert {name: str(mistake) for name, mistake in mistakes.items()} == {
         "p0": "p0.scale_from: leads back to a point: p0, p1, p0",
@@ -377,6 +377,6 @@ def test_each_point_that_leads_back_is_named() -> None:
     }
 
 
-def test_only_the_point_beside_a_missing_one_is_wrong() -> None:
+def test_only_the_point_whose_scale_is_missing_is_wrong() -> None:
     ((name, mistake),) = scale_mistakes(chain(3, first="x"))
     assert (name, str(mistake)) == ("p0", "p0.scale_from: the map has no point 'x'")

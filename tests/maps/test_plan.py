@@ -35,7 +35,7 @@ TABLES = {**BITS, **REGISTERS}
 
 
 def cell(table: str, address: int) -> Any:
-    """Every register tells where it is, and has two bytes of ASCII."""
+    """Every register holds its address, and has two bytes of ASCII."""
     return bool(address % 3) if table in BITS.values() else (address % 100) << 8 | address // 100
 
 
@@ -80,7 +80,7 @@ REQUESTS: list[tuple[list[Any], dict[str, Any], list[tuple[str, int, int]]]] = [
 
 
 @each_case(("items", "options", "requests"), REQUESTS)
-def test_items_become_reads(items: Any, options: Any, requests: list[tuple[str, int, int]]) -> None:
+def test_items_share_reads(items: Any, options: Any, requests: list[tuple[str, int, int]]) -> None:
     plan = Plan(items, **options)
     assert [(table, cells[0], len(cells)) for table, cells in spans(plan)] == requests
     reads = [Read(*item) for item in items]
@@ -90,7 +90,7 @@ def test_items_become_reads(items: Any, options: Any, requests: list[tuple[str, 
         ]
 
 
-def test_results_are_values_by_name() -> None:
+def test_results_have_the_names_of_their_items() -> None:
     plan = Plan(
         {
             "level": ("holding_registers", 10, 2, "float32", "CDAB"),
@@ -115,7 +115,7 @@ def test_a_count_may_be_left_out_before_a_type() -> None:
     assert short.results(cells) == Plan(full).results(cells) == [[50.0], [50.0], ["ABCD"]]
 
 
-def test_values_by_name_tell_the_good_from_the_failed() -> None:
+def test_good_and_failed_values_are_separated_by_name() -> None:
     plan = Plan({"level": (H, 0, "float32"), "valves": (C, 0), "digits": (INPUT, 0, "bcd16")})
     refusal = IllegalDataAddress("refused")
     values = plan.results([refusal, [0x4248, 0], [0xFFFF]])
@@ -125,7 +125,7 @@ def test_values_by_name_tell_the_good_from_the_failed() -> None:
     assert isinstance(values.failed["digits"], NoValue)
 
 
-def test_failed_request_stands_in_for_its_items_only() -> None:
+def test_a_failed_request_is_the_result_of_its_own_items_only() -> None:
     plan = Plan([("coils", 0, 2), ("coils", 1, 2), ("coils", 9, 1), ("coils", 100, 3000)])
     assert len(plan.requests) == 4
     error = ModbusTimeoutError("no answer")
@@ -134,7 +134,7 @@ def test_failed_request_stands_in_for_its_items_only() -> None:
     assert plan.results([*good[:3], error])[2:] == [[cell("coils", 9)], error]
 
 
-def test_results_are_made_anew_each_time() -> None:
+def test_each_result_is_a_new_list() -> None:
     plan = Plan([("coils", 0, 2), ("coils", 0, 2)])
     answer = [[True, False]]
     first, second = plan.results(answer)
@@ -162,7 +162,7 @@ def test_answers_to_other_requests_are_refused(results: Any, message: str) -> No
         Plan([("coils", 0), ("coils", 5, 2)]).results(results)
 
 
-def test_data_that_is_no_value_takes_no_other_along() -> None:
+def test_invalid_data_of_one_item_leaves_the_other_items() -> None:
     plan = Plan({
         "total": ("holding_registers", 0, 1, "bcd16"),
         "two": ("holding_registers", 1, 2, "bcd16"),
@@ -202,7 +202,7 @@ BORDERED: list[Any] = [
 
 
 @each_case(("items", "borders", "requests"), BORDERED)
-def test_no_request_crosses_a_border(items, borders, requests) -> None:
+def test_no_request_crosses_a_forbidden_border(items, borders, requests) -> None:
     plan = Plan(items, gap=4, borders=[(H, at) for at in borders])
     assert [(item.address, item.count) for item in plan.requests] == requests  # type: ignore[attr-defined]
 
@@ -216,7 +216,7 @@ WRONG_BORDERS: list[Any] = [
 
 
 @each_case(("items", "borders", "message"), WRONG_BORDERS)
-def test_invalid_borders(items: Any, borders: Any, message: str) -> None:
+def test_invalid_borders_are_refused(items: Any, borders: Any, message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         Plan(items, borders=borders)
 
@@ -259,7 +259,7 @@ def cells_of(read: Read) -> range:
 
 
 def fewest(reads: list[Read], limit: int, gap: int, forbidden: set[int], borders: set[int]) -> int:
-    """Try the ends of each request: what must stay together, and where one must begin."""
+    """Return the fewest requests: try all ends for each, within the rules for cells."""
     addresses = {address for read in reads for address in cells_of(read)}
     together = []
     for read in reads:
@@ -295,7 +295,7 @@ def fewest(reads: list[Read], limit: int, gap: int, forbidden: set[int], borders
     closed=st.sets(st.integers(0, 90), max_size=6),
     borders=st.sets(st.integers(0, 90), max_size=3),
 )
-def test_plan_of_any_items(
+def test_plans_of_random_items_have_the_fewest_requests(
     reads: list[Read], gap: int, limit: int, closed: set[int], borders: set[int]
 ) -> None:
     borders -= {

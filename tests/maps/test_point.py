@@ -23,7 +23,7 @@ def point(**keys: Any) -> Point:
     return Point(**{"name": "it", "table": H, "address": 0, **keys})
 
 
-# What a point has, its cells, and the value they stand for.
+# The arguments of a point, its cells, and their value.
 READ = [
     ({}, [2305], 2305),
     ({"scale": 0.1}, [2305], 230.5),
@@ -49,7 +49,7 @@ READ = [
 
 
 @each_case(("keys", "cells", "value"), READ)
-def test_cells_stand_for_values(keys: dict[str, Any], cells: list[Any], value: Any) -> None:
+def test_cells_decode_to_values_and_back(keys: dict[str, Any], cells: list[Any], value: Any):
     point_ = point(**keys)
     assert repr(point_.decode(cells)) == repr(value)
     assert len(point_.cells) == len(cells)
@@ -62,7 +62,7 @@ def test_nan_is_no_value() -> None:
     assert point_.judge(point_.encode(math.nan)) == (None, "bad", "Missing")
 
 
-# What is written, and the nearest raw number: of two the even one.
+# A value, and the nearest raw number: of two equally near, the even one.
 ROUNDED = [
     (21.5, 0.1, 215),
     (21.57, 0.1, 216),
@@ -91,12 +91,12 @@ INTEGERS = {"int16": (16, True), "uint16": (16, False), "int32": (32, True), "ui
     st.decimals(min_value=-1000, max_value=1000, places=3),
     st.data(),
 )
-def test_scaled_integers_are_exact_and_come_back(
+def test_scaled_integers_are_exact_in_both_directions(
     name: str, scale: Decimal, offset: Decimal, data: st.DataObject
 ) -> None:
     bits, signed = INTEGERS[name]
     low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
-    # More than this a float does not tell.
+    # A float has no more digits than this.
     raw = data.draw(st.integers(max(low, -(10**9)), min(high, 10**9)))
     point_ = point(type=name, scale=float(scale), offset=float(offset))
     cells = list(struct.unpack(f">{bits // 16}H", raw.to_bytes(bits // 8, "big", signed=signed)))
@@ -110,7 +110,7 @@ def test_scaled_integers_are_exact_and_come_back(
     st.floats(width=32, allow_nan=False, allow_infinity=False),
     st.sampled_from([0.1, 10, -3.5, 1e-6]),
 )
-def test_scaled_floats_come_back(raw: float, scale: float) -> None:
+def test_scaled_floats_decode_to_what_was_encoded(raw: float, scale: float) -> None:
     point_ = point(type="float32", scale=scale)
     cells = list(struct.unpack(">2H", struct.pack(">f", raw)))
     back = point_.encode(point_.decode(cells))
@@ -127,11 +127,11 @@ def test_a_point_has_defaults_for_its_table() -> None:
     assert not point(access="read").is_writable
 
 
-def test_an_invalid_point(refused: Refused) -> None:
+def test_an_invalid_point_is_refused(refused: Refused) -> None:
     refused("wrong_points.txt", lambda keys: point(**keys))
 
 
-def test_a_value_that_a_point_cannot_have(refused: Refused) -> None:
+def test_a_value_outside_the_range_of_a_point_is_refused(refused: Refused) -> None:
     refused("unfit_values.txt", lambda case: point(**case[0]).encode(case[1]))
 
 
@@ -142,7 +142,7 @@ def test_a_value_that_a_point_cannot_have(refused: Refused) -> None:
         ({}, [65536], "it: registers[0] must be in 0..65535, not 65536"),
     ],
 )
-def test_cells_that_no_device_has(keys: dict[str, Any], cells: list[int], message: str) -> None:
+def test_invalid_addresses_are_refused(keys: dict[str, Any], cells: list[int], message: str):
     with pytest.raises(ValueError, match=f"^{re.escape(message)}"):
         point(**keys).decode(cells)
 
@@ -163,7 +163,7 @@ def test_a_unit_of_a_point_has_the_name_units() -> None:
         ({"scale": 0.1, "minimum": 1, "maximum": 3}, 3.04),  # outside as it was given
     ],
 )
-def test_what_would_be_written_outside_the_bounds_is_refused(keys, value) -> None:
+def test_values_outside_the_bounds_are_not_written(keys, value) -> None:
     with pytest.raises(ValueError, match=r"it: value must be .*, not "):
         point(**keys).encode(value)
 
@@ -181,13 +181,13 @@ def test_the_bounds_themselves_are_accepted(keys: dict[str, Any], value: float, 
     assert point(**keys).encode(value) == [raw]
 
 
-def test_bounds_of_floats_are_those_of_what_is_given() -> None:
+def test_bounds_of_floats_accept_the_value_that_was_written_as_the_bound() -> None:
     point_ = point(type="float32", scale=10, maximum=0.1)
     assert point_.decode(point_.encode(0.1)) == pytest.approx(0.1)
 
 
 @each_case("divisor", [3, 6, 7, 9, 11, 12, 36, 60, 99, 360, 3600, 86_400, 999_983])
-def test_whole_quotients_are_whole(divisor: int) -> None:
+def test_integers_divided_by_a_divisor_are_integers_if_the_quotient_is(divisor: int) -> None:
     point_ = point(scale=1 / divisor, type="uint32")
     for number in (1, 2, 3, 7, 1000):
         cells = divmod(number * divisor, 65536)
@@ -211,6 +211,6 @@ def test_decimals_are_read_as_they_are_written(scale: float) -> None:
 
 @each_case("raw", [1e300, -1e300])
 @each_case(("keys", "source"), [({"scale": 1e30}, None), ({"scale_from": "exponent"}, 30)])
-def test_too_large_a_value_is_infinite(raw: float, keys: dict[str, Any], source: Any) -> None:
+def test_a_value_that_is_too_large_becomes_infinite(raw: float, keys: dict[str, Any], source: Any):
     cells = struct.unpack(">4H", struct.pack(">d", raw))
     assert point(type="float64", **keys).decode(cells, source=source) == raw * 1e300

@@ -1,4 +1,4 @@
-"""Plans of devices that fail in other ways, or change: nothing is left out in vain."""
+"""Plans of devices that fail in other ways, or change: no item is left out without reason."""
 
 import random
 from typing import Any
@@ -30,14 +30,14 @@ from tests.support.cases import each_case
         InvalidResponse("wrong length"),
     ],
 )
-def test_other_failures_are_no_holes(error: ModbusError) -> None:
+def test_other_failures_are_not_taken_for_refusals(error: ModbusError) -> None:
     polls = Polls(singles(200), Registers(then=leaving(0, error)))
     assert polls.requests(20) == [2] * 20
     assert not polls.refusals
 
 
 @each_case("error", [ServerDeviceBusy(), ModbusTimeoutError("silence")])
-def test_a_search_that_fails_learns_nothing_false(error: ModbusError) -> None:
+def test_a_search_that_fails_records_no_wrong_refusal(error: ModbusError) -> None:
     """The device leaves in the middle, at each possible request; the search ends there."""
     for working in range(1, 11):
         polls = Polls(singles(20), Registers([13], then=leaving(working, error)))
@@ -48,7 +48,7 @@ def test_a_search_that_fails_learns_nothing_false(error: ModbusError) -> None:
         assert lost(polls.poll(100)[1]) == [13]
 
 
-def test_two_runs_at_once_learn_the_same() -> None:
+def test_two_runs_at_the_same_time_record_the_same_refusals() -> None:
     polls = Polls(singles(20), Registers([5]))
     runs = [polls.steps(), polls.steps()]
     requests_of = {at: next(run) for at, run in enumerate(runs)}
@@ -65,7 +65,7 @@ def test_two_runs_at_once_learn_the_same() -> None:
     assert len(polls.news) == 1
 
 
-def test_a_run_that_is_left_leaves_what_was_learnt_whole() -> None:
+def test_a_run_that_is_closed_early_keeps_the_refusals_it_has_found() -> None:
     for steps in range(10):
         polls = Polls(singles(40), Registers([5, 31]))
         run = polls.steps()
@@ -77,7 +77,7 @@ def test_a_run_that_is_left_leaves_what_was_learnt_whole() -> None:
         assert lost(polls.poll(1)[1]) == [5, 31]
 
 
-def test_a_strict_reading_names_what_was_refused() -> None:
+def test_a_strict_read_names_the_refused_items() -> None:
     for address in range(20):
         polls = Polls(singles(40), Registers([address, 30]))
         for most in (1 + 12, 2):
@@ -94,7 +94,7 @@ def test_a_strict_reading_names_what_was_refused() -> None:
         assert not polls.refusals
 
 
-def test_a_known_hole_that_is_answered_is_not_named() -> None:
+def test_a_refused_item_that_is_answered_again_is_not_named() -> None:
     polls = Polls(singles(20), Registers([5]))
     polls.strictly()
     polls.device.missing = {12}
@@ -125,7 +125,7 @@ BORDERS = [
 
 @each_case("is_strict", [False, True])
 @each_case(("device", "first", "later"), BORDERS)
-def test_items_across_borders_are_read(device, first, later, is_strict) -> None:
+def test_items_beyond_requests_of_the_device_are_read(device, first, later, is_strict) -> None:
     polls = Polls(singles(100), device)
     for most in (first, later, later):
         count, answers = polls.answers(is_strict=is_strict)
@@ -134,7 +134,7 @@ def test_items_across_borders_are_read(device, first, later, is_strict) -> None:
     assert not polls.unreadable
 
 
-def test_a_register_refused_behind_a_border_is_named() -> None:
+def test_a_refused_register_after_a_border_is_named() -> None:
     polls = Polls(singles(100), bordered({50}))
     polls.device.missing = {70}
     for most in (20, 2):
@@ -143,8 +143,8 @@ def test_a_register_refused_behind_a_border_is_named() -> None:
         assert count <= most
 
 
-def test_a_refused_block_of_one_item_is_asked_for_once() -> None:
-    """It would be answered the second time."""
+def test_a_refused_block_of_one_item_is_requested_once() -> None:
+    """The second request would be answered."""
 
     def change(device: Registers, answer: Any) -> Any:
         device.missing.clear()
@@ -157,7 +157,7 @@ def test_a_refused_block_of_one_item_is_asked_for_once() -> None:
     assert (count, answers[0].names) == (1, (0,))
 
 
-def test_a_failure_while_the_item_is_searched_leaves_the_refusal() -> None:
+def test_a_failure_during_the_search_of_an_item_keeps_the_refusal() -> None:
     silence = leaving(2, ModbusTimeoutError("silence"))
     polls = Polls(singles(20), Registers([15], then=silence))
     count, answers = polls.strictly()
@@ -193,7 +193,7 @@ def test_each_item_has_its_value_or_is_refused(data: st.DataObject) -> None:
 
 
 @given(st.integers(0, 1 << 32), st.integers(0, 200))
-def test_existing_registers_are_read_at_last(seed: int, count: int) -> None:
+def test_all_existing_registers_are_read_after_some_runs(seed: int, count: int) -> None:
     """However wrong the first search was: it ends early while nothing is answered."""
     missing = set(random.Random(seed).sample(range(200), count))
     polls = Polls(singles(200), Registers(missing))
@@ -204,8 +204,8 @@ def test_existing_registers_are_read_at_last(seed: int, count: int) -> None:
     assert lost(values) == sorted(missing)
 
 
-def test_a_hole_is_found_although_its_refusal_changes() -> None:
-    """It is refused now in this way, now in that, and the device is busy in between."""
+def test_a_refused_register_is_found_although_its_exception_changes() -> None:
+    """The exception changes between requests, and the device is busy in between."""
     chance = random.Random(1)
     moods = (IllegalDataAddress, ServerDeviceBusy, IllegalDataValue, ServerDeviceFailure)
 
@@ -237,7 +237,7 @@ def whims(seed: int) -> Registers:
 
 
 @each_case("is_strict", [False, True])
-def test_no_value_is_wrong_whatever_a_device_answers(is_strict: bool) -> None:
+def test_no_value_is_wrong_however_a_device_answers(is_strict: bool) -> None:
     for seed in range(60):
         polls = Polls(singles(100), whims(seed))
         for now in range(0, 2000, 100):

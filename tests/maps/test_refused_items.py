@@ -37,7 +37,7 @@ LOST: list[Any] = [
 
 
 @each_case(("items", "gap", "missing", "lost_ones", "later"), LOST)
-def test_items_without_a_hole_have_their_values(items, gap, missing, lost_ones, later) -> None:
+def test_items_without_refused_cells_have_values(items, gap, missing, lost_ones, later) -> None:
     plan = Plan(items, gap=gap)
     polls = Polls(plan, Registers(missing))
     for _ in range(3):
@@ -61,7 +61,7 @@ def test_an_item_that_cannot_be_read_is_named_with_its_cells() -> None:
     ]
 
 
-def test_plans_of_one_unit_share_what_is_known() -> None:
+def test_plans_of_one_unit_share_their_refusals() -> None:
     polls = Polls(singles(20), Registers([5]))
     polls.poll()
     polls.plan = Plan([(H, at) for at in (4, 5, 6)])
@@ -78,7 +78,7 @@ def test_plans_of_one_unit_share_what_is_known() -> None:
         range(0, 500, 2),
     ],
 )
-def test_many_holes_are_found_at_once(missing: Iterable[int]) -> None:
+def test_many_refused_registers_are_found_in_one_run(missing: Iterable[int]) -> None:
     polls = Polls(singles(500), Registers(missing))
     first, values = polls.poll()
     assert lost(values) == sorted(missing)
@@ -89,10 +89,10 @@ def test_many_holes_are_found_at_once(missing: Iterable[int]) -> None:
 
 @pytest.mark.slow
 @each_case("count", [1, 2, 7, 20, 300])
-def test_a_device_that_refuses_everything_is_asked_once_a_run(count: int) -> None:
+def test_a_device_that_refuses_everything_is_asked_once_in_a_run(count: int) -> None:
     polls = Polls(singles(count), Registers(range(65536)))
     first, values = polls.poll(0)
-    # It is not searched for long while nothing is answered.
+    # The search ends early while nothing is answered.
     assert first <= -(-count // 125) + 17
     assert lost(values) == polls.unreadable == list(range(count))
     assert [polls.poll(now)[0] for now in range(1, 700)] == [1] * 699
@@ -103,13 +103,13 @@ def test_a_device_that_refuses_everything_is_asked_once_a_run(count: int) -> Non
     assert polls.poll(701) == (-(-count // 125), [[at] for at in range(count)])
 
 
-def test_a_device_that_only_refuses_is_not_searched_further_at_the_next_run() -> None:
+def test_a_device_that_refuses_everything_is_not_searched_again_in_the_next_run() -> None:
     """Of 2000 coils two are found, by two requests for each of 11 halvings; then none is read."""
     polls = Polls(Plan([("coils", at) for at in range(2000)]), Registers(range(65536)))
     assert polls.requests(20) == [1 + 22] + [1] * 19
 
 
-def test_a_block_that_is_not_there_costs_two_requests_a_register_once() -> None:
+def test_a_missing_block_costs_two_requests_a_register_once() -> None:
     plan = Plan([(H, address) for address in (*range(100), *range(1000, 1100))])
     polls = Polls(plan, Registers(range(1000, 1100)))
     first, values = polls.poll()
@@ -123,7 +123,7 @@ def test_a_block_that_is_not_there_costs_two_requests_a_register_once() -> None:
 
 
 @each_case("most", [1, 10, 50, 64, 124])
-def test_short_requests_only_cost_no_point(most: int) -> None:
+def test_a_device_that_takes_short_requests_only_loses_no_point(most: int) -> None:
     """A device that takes fewer registers in a request refuses as if one were missing."""
     polls = Polls(singles(300), Registers([7], most=most))
     for now in range(10):
@@ -132,7 +132,7 @@ def test_short_requests_only_cost_no_point(most: int) -> None:
     assert count <= 2 * (300 // most + 2)
 
 
-def test_holes_side_by_side_are_one_range() -> None:
+def test_adjacent_refused_registers_are_one_range() -> None:
     polls = Polls(singles(20), Registers([3, 4, 9]))
     polls.poll()
     assert [text.split(" (")[0] for text in polls.news] == [
@@ -141,7 +141,7 @@ def test_holes_side_by_side_are_one_range() -> None:
     ]
 
 
-def test_a_hole_is_tried_again_every_ten_minutes() -> None:
+def test_a_refused_register_is_tried_again_every_ten_minutes() -> None:
     polls = Polls(singles(20), Registers([5]))
     polls.poll(0)
     times = [now for now in range(1, 2000) if polls.poll(now)[0] > 2]
@@ -149,7 +149,7 @@ def test_a_hole_is_tried_again_every_ten_minutes() -> None:
     assert len(polls.news) == 1
 
 
-def test_each_run_tries_one_hole_again() -> None:
+def test_each_run_tries_one_refused_register_again() -> None:
     polls = Polls(singles(20), Registers([5, 9, 13]))
     polls.poll(0)
     polls.device.asked.clear()
@@ -159,7 +159,7 @@ def test_each_run_tries_one_hole_again() -> None:
         assert polls.device.asked.count((address, 1)) == 1
 
 
-def test_a_hole_that_answers_is_read_at_once() -> None:
+def test_a_refused_register_that_answers_is_read_at_once() -> None:
     polls = Polls(singles(20), Registers([5, 9, 13]))
     polls.poll(0)
     polls.device.missing = {13}
@@ -171,7 +171,7 @@ def test_a_hole_that_answers_is_read_at_once() -> None:
     assert polls.unreadable == [13]
 
 
-def test_another_connection_brings_another_trial() -> None:
+def test_a_new_connection_causes_a_new_trial() -> None:
     polls = Polls(singles(20), Registers([5]))
     polls.poll(0)
     counts = []
@@ -181,8 +181,8 @@ def test_another_connection_brings_another_trial() -> None:
     assert counts == [2, 2, 3, 2, 2, 3]
 
 
-def test_the_first_connection_is_not_another_one() -> None:
-    """It is made by the first request."""
+def test_the_first_connection_causes_no_new_trial() -> None:
+    """The connection is made by the first request."""
     polls = Polls(singles(20), Registers([5]))
     polls.connects = 0
     polls.poll(0)
@@ -190,7 +190,7 @@ def test_the_first_connection_is_not_another_one() -> None:
     assert polls.poll(1)[0] == 2
 
 
-def test_a_trial_that_fails_is_a_trial() -> None:
+def test_a_trial_without_an_answer_counts_as_a_trial() -> None:
     polls = Polls(singles(20), Registers([5]))
     polls.poll(0)
     silent = Registers([5], refusal=ModbusTimeoutError)

@@ -144,7 +144,7 @@ def test_few_requests_write_all_the_values(values: Any, options: Any, requests: 
     assert METER.writes(values, **options) == requests
 
 
-def test_long_writes_are_cut_between_values() -> None:
+def test_long_writes_are_split_between_values() -> None:
     long = RegisterMap(
         [
             Point("head", H, 0),
@@ -159,7 +159,7 @@ def test_long_writes_are_cut_between_values() -> None:
     assert ranges == [(0, 123), (123, 122), (245, 78), (0, 1968), (1968, 32)]
 
 
-def test_values_that_fit_are_not_torn() -> None:
+def test_values_that_fit_into_one_request_are_not_split() -> None:
     blocks = RegisterMap([Point("first", H, 0, 100), Point("second", H, 100, 50)])
     requests = blocks.writes({"first": [1] * 100, "second": [2] * 50})
     assert requests == [pdu.WriteRegisters(0, [1] * 100), pdu.WriteRegisters(100, [2] * 50)]
@@ -177,7 +177,7 @@ REFUSED = [
 ]
 
 
-def test_nothing_is_sent_of_what_cannot_be_written(connect: Connect, meter: str, reads: list[Any]):
+def test_one_wrong_value_prevents_all_requests(connect: Connect, meter: str, reads: list[Any]):
     with connect(meter, timeout=5) as plc:
         for values, kind, message in REFUSED:
             with pytest.raises(kind, match=f"^{re.escape(message)}$"):
@@ -230,7 +230,7 @@ def test_a_point_that_failed_has_its_error(connect: Connect) -> None:
             assert plc.read_map(holes, ["there", "beside"], gap=gap) == {"there": 7, "beside": 8}
 
 
-def test_data_that_is_no_value_takes_no_other_along(connect: Connect) -> None:
+def test_invalid_data_of_one_point_leaves_the_other_points(connect: Connect) -> None:
     """A text of a solar inverter with a byte that is not ASCII, behind its end and in it."""
     cells = [42, *[0x564E, 0x00FF, 0x0700], *[0x564E, 0xFF00, 0], 0xFFFF, 0xFFFF, 0x13, 0]
     types = {"soc": "uint16", "name": "string:6", "bad": "string:6", "level": "bcd16"}
@@ -261,7 +261,7 @@ def test_data_that_is_no_value_takes_no_other_along(connect: Connect) -> None:
         assert isinstance(several["level"], NoValue)
 
 
-def test_each_point_has_the_error_of_a_line_that_is_gone(connect: Connect) -> None:
+def test_each_point_has_the_error_of_a_lost_line(connect: Connect) -> None:
     with serving(connect, Device(Mapping(holding_registers=9))) as plc:
         plc.close()
         errors = plc.read_map(METER, ["setpoint", "run"], return_exceptions=True)
@@ -287,7 +287,7 @@ def test_a_broadcast_has_no_answer(connect: Connect) -> None:
         }
 
 
-def test_writes_behind_a_refused_one_are_not_sent(connect: Connect) -> None:
+def test_writes_after_a_refused_one_are_not_sent(connect: Connect) -> None:
     def refuse(access: Any) -> None:
         raise ServerDeviceBusy
 
@@ -300,7 +300,7 @@ def test_writes_behind_a_refused_one_are_not_sent(connect: Connect) -> None:
         assert plc.read_holding_registers(0, 5) == [0, 0, 0, 0, 1]
 
 
-def test_the_plan_is_kept() -> None:
+def test_a_map_returns_the_same_plan_for_equal_arguments() -> None:
     assert METER.plan() is METER.plan()
     assert METER.plan(["run"], gap=2) is METER.plan(iter(["run"]), gap=2)
     assert METER.plan(["run"], gap=2) is not METER.plan(["run"])
@@ -311,7 +311,7 @@ def test_the_plan_is_kept() -> None:
         METER.plan(["volts"], forbidden=forbidden)
 
 
-def test_a_map_is_a_mapping_that_never_changes() -> None:
+def test_a_map_is_an_immutable_mapping() -> None:
     assert list(METER)[:2] == ["setpoint", "energy"]
     assert METER["run"] == Point("run", "coils", 7)
     assert len(METER) == 8

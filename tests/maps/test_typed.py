@@ -17,7 +17,7 @@ def point(**keys: Any) -> Point:
     return Point(**{"name": "it", "table": H, "address": 0, **keys})
 
 
-# What a point has, what is typed, and its cells, computed by hand.
+# The arguments of a point, the typed text, and its cells, computed by hand.
 TYPED: list[tuple[dict[str, Any], str, list[Any]]] = [
     ({"table": "coils"}, " on ", [True]),
     ({}, "0x1F", [31]),
@@ -49,7 +49,7 @@ TYPED: list[tuple[dict[str, Any], str, list[Any]]] = [
 
 
 @each_case(("keys", "text", "cells"), TYPED)
-def test_a_typed_text_encodes_to_these_cells(keys, text, cells) -> None:
+def test_a_typed_text_encodes_to_its_registers(keys, text, cells) -> None:
     point_ = point(**keys)
     assert point_.encode(typed_value(point_, text)) == cells
 
@@ -65,7 +65,7 @@ def test_a_text_that_is_no_value_is_refused(refused: Refused) -> None:
     refused("refused_texts.txt", encode)
 
 
-def test_a_number_that_a_float_holds_is_one() -> None:
+def test_a_number_that_a_float_holds_is_accepted() -> None:
     point_ = point(scale=0.1)
     assert repr(typed_value(point_, "100.1")) == "100.1"
     assert repr(typed_value(point_, "-7")) == "-7"

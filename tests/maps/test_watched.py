@@ -42,12 +42,12 @@ def polled(pace: PointIntervals, polls: int) -> list[list[float]]:
         (86_400, 0.01, [0]),
     ],
 )
-def test_an_interval_ends_at_the_first_poll_that_is_not_sooner(interval, usual, times) -> None:
+def test_an_interval_ends_with_the_first_poll_at_or_after_it(interval, usual, times) -> None:
     _, polls = polled(PointIntervals([None, interval], usual), 100)
     assert polls[: len(times)] == pytest.approx(times)
 
 
-def test_sums_of_times_are_never_exact() -> None:
+def test_rounding_of_added_times_changes_no_interval() -> None:
     """A fleet adds its interval to the time of the last poll, for months."""
     pace, at, times = PointIntervals([None, 60], 0.1), 1e6, []
     for _ in range(6001):
@@ -58,7 +58,7 @@ def test_sums_of_times_are_never_exact() -> None:
     assert times == pytest.approx([60 * number for number in range(11)], abs=0.01)
 
 
-def test_polls_that_are_left_out_count_as_time() -> None:
+def test_polls_that_are_left_out_count_in_the_time() -> None:
     pace = PointIntervals([None, 60], 10)
     times = [0, 10, 50, 90, 140, 150]
     ends = []
@@ -79,13 +79,13 @@ def falls(*polls: Any) -> list[str]:
     return verdicts
 
 
-def test_errors_and_none_are_no_total() -> None:
+def test_errors_and_none_are_not_compared_as_totals() -> None:
     assert falls(10, ValueError(), 10, 9) == ["believed"] * 3 + ["doubtful"]
     assert falls(10, 9, None, 9) == ["believed", "doubtful", "believed", "fell"]
 
 
 @given(st.lists(st.integers(0, 5)))
-def test_no_total_is_doubtful_twice_in_a_row(polls: list[int]) -> None:
+def test_a_total_is_never_doubtful_twice_in_a_row(polls: list[int]) -> None:
     verdicts = falls(*polls)
     assert ("doubtful", "doubtful") not in list(pairwise(verdicts))
     rises = all(first <= second for first, second in pairwise(polls))
@@ -114,7 +114,7 @@ def poll(watched: WatchedPoints, at: float, *answers: dict[str, Any]) -> tuple[l
     raise AssertionError("more is read")
 
 
-def test_a_total_that_falls_is_read_alone_and_named_if_it_fell() -> None:
+def test_a_total_that_falls_is_read_again_alone_and_named_if_it_fell() -> None:
     watched = WatchedPoints(POINTS, ["total", "fast"], 10)
     assert poll(watched, 0, {"fast": 1, "total": 9})[1].fell == frozenset()
     read, values = poll(watched, 10, {"fast": 2, "total": 3}, {"total": 10})
@@ -128,7 +128,7 @@ def test_a_total_that_falls_is_read_alone_and_named_if_it_fell() -> None:
 @each_case(
     ("error", "is_read_again"), [(ModbusTimeoutError(""), True), (IllegalDataAddress(), False)]
 )
-def test_what_is_lost_is_read_again_and_what_is_refused_is_not(error, is_read_again) -> None:
+def test_a_lost_value_is_read_again_and_a_refused_one_is_not(error, is_read_again) -> None:
     watched = WatchedPoints(POINTS, ["fast", "slow"], 10)
     poll(watched, 0, {"fast": 1, "slow": error})
     read, _ = poll(watched, 10, {"fast": 1, "slow": 2})

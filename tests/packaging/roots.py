@@ -76,7 +76,7 @@ BECOME_USER = f"setpriv --reuid={USER} --regid={USER} --init-groups"
 
 
 def why_not() -> str:
-    """Return why no system can be made here, or nothing."""
+    """Return why no system can be made on this machine, or nothing."""
     if os.geteuid():
         return "only root can make a system to try it in"
     if missing := [program for program in PROGRAMS if shutil.which(program) is None]:
@@ -242,6 +242,6 @@ def output(release: str, way: str, request: pytest.FixtureRequest) -> str:
 
 
 if __name__ == "__main__":
-    # In another process, in which pytest is the first to import what it rewrites.
+    # In another process, so that pytest imports first the modules that it rewrites.
     options = ("-s", "-rs", "-p", "no:cacheprovider")
     os.execv(sys.executable, [sys.executable, "-m", "pytest", __file__, *options, *sys.argv[1:]])

@@ -33,7 +33,7 @@ def loaded(path: Path) -> ModuleType:
 
 
 @pytest.mark.parametrize(("is_free", "tags"), [(1, {}), (0, {"py_limited_api": "cp311"})])
-def test_the_limited_api_is_asked_for_where_there_is_one(is_free, tags, monkeypatch) -> None:
+def test_the_limited_api_is_used_where_python_has_it(is_free, tags, monkeypatch) -> None:
     """A free-threaded Python has none, and setuptools refuses to ask for it there."""
     real = sysconfig.get_config_var
 
@@ -89,7 +89,7 @@ def test_missing_packages_are_named_in_one_line(tree: Path, hidden: str, package
     assert "raw errors" not in process.stderr
 
 
-def test_the_declarations_alone_change_no_file(tree: Path) -> None:
+def test_generating_the_declarations_changes_no_file(tree: Path) -> None:
     """cffi would write its C over _libmodbus.c, which is ours."""
     before = {path: path.read_bytes() for path in tree.rglob("*") if path.is_file()}
     process = subprocess.run(
@@ -117,9 +117,7 @@ def image(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_what_pip_builds_of_the_files_of_the_image_is_all_and_no_bytecode_of_the_builder(
-    image: Path, tmp_path: Path
-) -> None:
+def test_pip_builds_all_files_of_the_image_without_bytecode(image: Path, tmp_path: Path) -> None:
     """With the environment of nobody, where Python writes bytecode beside what it imports."""
     process = subprocess.run(
         [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation",
@@ -168,7 +166,7 @@ def test_musl_compiles_all_c(tmp_path: Path, source: str) -> None:
 NOT_FOR_USERS = {"test", "docs", "lint", "bench", "fuzz", "mutants", "wheel"}
 
 
-def test_the_table_is_that_of_the_project() -> None:
+def test_the_table_of_extras_is_that_of_the_project() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     table = {
         name: extra[0]  # without a marker, with which pip would install nothing without a word
@@ -217,7 +215,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_manual_page_has_the_help_of_every_command(page: Path) -> None:
+def test_the_manual_page_contains_the_help_of_every_command(page: Path) -> None:
     text = page.read_text()
     assert text.startswith('.TH LIBMODBUS-PY 1 "2023-11-14" "libmodbus-py ')
     for name in COMMANDS:

@@ -29,13 +29,13 @@ def template(command: str) -> str:
     return process.stdout
 
 
-def test_its_version_is_that_of_the_package() -> None:
+def test_the_debian_version_is_that_of_the_package() -> None:
     first = (DEBIAN / "changelog").read_text().splitlines()[0]
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert re.fullmatch(r"libmodbus-py \((.+)-\d+\) \w+; urgency=medium", first)[1] == version  # type: ignore[index]
 
 
-def test_the_files_that_it_names_exist() -> None:
+def test_each_file_that_the_debian_package_names_exists() -> None:
     for name in (DEBIAN / "python3-libmodbus-py.docs").read_text().split():
         assert (ROOT / name).exists()
     rules = (DEBIAN / "rules").read_text()
@@ -82,7 +82,7 @@ def clone(tree: Path) -> Path:
     return tree
 
 
-def test_from_an_unpacked_source_come_all_files_but_those_that_were_made_there(tree: Path) -> None:
+def test_an_unpacked_source_gives_all_files_but_generated_ones(tree: Path) -> None:
     lines = (ROOT / ".gitignore").read_text().replace("*", "x").split()
     rows = [f"{line.strip('/')}/in/it" if line.endswith("/") else line.strip("/") for line in lines]
     put(tree, *rows)
@@ -91,7 +91,7 @@ def test_from_an_unpacked_source_come_all_files_but_those_that_were_made_there(t
     assert files(tree) == KNOWN
 
 
-def test_from_a_clone_come_the_files_that_git_knows_and_that_are_there(clone: Path, tmp_path):
+def test_a_clone_gives_the_existing_files_that_git_knows(clone: Path, tmp_path):
     git(clone, "worktree", "add", "-q", str(tmp_path / "other"))
     git(clone, "update-index", "--add", "--cacheinfo", f"160000,{40 * '1'},submodule")
     put(clone, "new.py", "venv/lib/x.py", "submodule/x.py")
@@ -114,7 +114,7 @@ def test_the_error_of_git_is_shown_if_it_knows_no_files(clone: Path, tmp_path: P
 
 
 @each_case("command", COMMANDS)
-def test_a_template_is_as_hardened_as_the_unit_that_it_is_made_from(command: str) -> None:
+def test_a_template_is_as_hardened_as_its_unit(command: str) -> None:
     def lines(text: str) -> list[str]:
         return [
             line
@@ -131,7 +131,7 @@ def test_a_template_is_as_hardened_as_the_unit_that_it_is_made_from(command: str
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
 @each_case("command", COMMANDS)
-def test_systemd_takes_a_template(command: str, tmp_path: Path) -> None:
+def test_systemd_accepts_a_template(command: str, tmp_path: Path) -> None:
     program = Path(sys.executable).with_name("libmodbus-py")
     text = template(command).replace("/usr/bin/libmodbus-py", str(program))
     text = text.replace("Documentation=man:libmodbus-py(1)\n", "")
@@ -145,7 +145,7 @@ def test_systemd_takes_a_template(command: str, tmp_path: Path) -> None:
     assert complaints == []
 
 
-def test_a_command_of_the_templates_takes_its_words(tmp_path: Path) -> None:
+def test_commands_of_templates_have_valid_options(tmp_path: Path) -> None:
     from libmodbus_py.cli.commands import parse_arguments
 
     for command in COMMANDS:

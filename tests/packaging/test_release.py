@@ -44,7 +44,7 @@ def answer(tree: Path, tag: str) -> tuple[int, str]:
     return process.returncode, process.stdout + process.stderr
 
 
-def test_a_tag_is_the_version(tree: Path) -> None:
+def test_a_tag_equals_the_version(tree: Path) -> None:
     assert answer(tree, "v1.2.3") == (0, "")
     for tag in ("v1.2.4", "1.2.3", "v1.2", "v1.2.3-1"):
         message = f"release: the tag is {tag}, but the version in pyproject.toml is 1.2.3\n"
@@ -52,7 +52,7 @@ def test_a_tag_is_the_version(tree: Path) -> None:
 
 
 @each_case("name", FILES)
-def test_a_version_that_was_forgotten_is_named(tree: Path, name: str) -> None:
+def test_a_file_with_an_older_version_is_named(tree: Path, name: str) -> None:
     state(tree / name, "1.2.2")
     message = f"release: the tag is v1.2.3, but the version in {name} is 1.2.2\n"
     assert answer(tree, "v1.2.3") == (1, message)
@@ -82,7 +82,7 @@ def test_no_instruction_installs_a_package_that_is_not_published() -> None:
     assert wrong == []
 
 
-def test_an_installation_by_name_is_distinguished_from_one_of_a_file() -> None:
+def test_an_installation_by_name_is_distinguished_from_one_by_file() -> None:
     by_name = [
         f"pip install {NAME}",
         f"/opt/{NAME}/bin/pip install '{NAME}[nats]'",
@@ -107,7 +107,7 @@ def jobs(workflow: str) -> dict[str, str]:
     return dict(zip(parts[::2], parts[1::2], strict=True))
 
 
-def test_what_is_published_waits_for_all_other_jobs() -> None:
+def test_publishing_waits_for_all_other_jobs() -> None:
     jobs_ = jobs("release.yml")
     (needs,) = re.findall(r"(?m)^    needs: \[(.*)\]$", jobs_["publish"])
     others = {"tag", "tests", "wheels", "sdist"}
@@ -119,7 +119,7 @@ def test_what_is_published_waits_for_all_other_jobs() -> None:
     assert not any("continue-on-error" in lines for lines in jobs_.values())
 
 
-def test_the_tests_of_a_release_are_those_of_a_change() -> None:
+def test_a_release_runs_the_tests_of_a_change() -> None:
     jobs_ = jobs("release.yml")
     assert "    uses: ./.github/workflows/ci.yml\n" in jobs_["tests"]
     triggers = (WORKFLOWS / "ci.yml").read_text().partition("\non:\n")[2].partition("\n\n")[0]

@@ -27,7 +27,7 @@ def test_each_way_to_install_is_one_block_that_ends_with_the_demonstration(way: 
         (0, "/bin/x", "", ""),
     ],
 )
-def test_where_no_system_can_be_made_the_reason_is_said(user, program, error, reason, monkeypatch):
+def test_a_missing_test_system_is_named_as_the_reason(user, program, error, reason, monkeypatch):
     process = subprocess.CompletedProcess([], bool(error), "", error)
     monkeypatch.setattr(subprocess, "run", lambda *_, **__: process)
     monkeypatch.setattr(os, "geteuid", lambda: user)
@@ -35,14 +35,14 @@ def test_where_no_system_can_be_made_the_reason_is_said(user, program, error, re
     assert roots.why_not() == reason
 
 
-def test_the_quick_tests_run_in_each_debian_and_one_of_them_is_another() -> None:
+def test_the_quick_tests_run_in_each_debian_with_another_python() -> None:
     others = [release for release in roots.PYTHONS if roots.is_other(release)]
     assert len(others) >= len(roots.PYTHONS) - 1
     assert roots.commands("quick").startswith("./run test --quick ")
     assert "-k 'quick and other'" in (roots.ROOT / ".ci" / "run").read_text()
 
 
-def test_other_commands_are_downloaded_again(tmp_path, monkeypatch) -> None:
+def test_changed_commands_are_downloaded_again(tmp_path, monkeypatch) -> None:
     """A block with other commands than those whose downloads are kept runs with the network."""
     monkeypatch.setattr(roots, "CACHE", tmp_path)
     before = roots.Needs("trixie", "source").stamp

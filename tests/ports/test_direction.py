@@ -71,7 +71,7 @@ def failing(events: list[object], *numbers: int, error: type[BaseException] = Lo
     return turn
 
 
-def test_a_function_is_called_before_and_behind_each_frame(events: list[object], unit: LinePeer):
+def test_a_function_is_called_before_and_after_each_frame(events: list[object], unit: LinePeer):
     with Client(f"rtu://{unit.path}", rs485=events.append, rts_delay=0.001) as plc:
         assert events == [False]
         for _ in range(2):
@@ -115,10 +115,10 @@ def test_a_function_is_called_with_the_delays_of_rts(events: list[object]) -> No
 @pytest.mark.parametrize(
     ("numbers", "calls"),
     [
-        ([0], [False]),  # when the port is opened
+        ([0], [False]),  # opening the port
         ([1], [False, True, False]),
         ([2], [False, True, SENT, False, False]),
-        ([1, 2], [False, True, False]),  # nothing is left to try
+        ([1, 2], [False, True, False]),  # no attempt is left
     ],
 )
 def test_what_a_function_raises_fails_its_request_and_the_line_receives(
@@ -146,11 +146,11 @@ def test_an_interrupted_function_leaves_the_line_receiving(events: list[object],
                 plc.read_holding_registers(0, 1)
             assert events == calls
             events.clear()
-        # Another function, because an answer to the first may still come.
+        # Another function, because an answer to the first request may still come.
         assert plc.read_input_registers(0, 1) == [555]
 
 
-def test_a_port_that_is_closed_while_it_sends_receives(events: list[object]) -> None:
+def test_a_port_that_is_closed_while_it_sends_is_switched_to_receiving(events: list[object]):
     with SerialWire() as wire:
         port = SerialPort(wire.client, rs485=events.append)
         port.open()
@@ -179,7 +179,7 @@ def test_wrong_values_of_rs485_are_refused(refused: Refused) -> None:
     refused("wrong_rs485.txt", lambda rs485: SerialPort("/dev/ttyUSB0", rs485=rs485))
 
 
-def test_a_coroutine_is_no_switch(events: list[object]) -> None:
+def test_a_coroutine_function_is_refused_for_direction(events: list[object]) -> None:
     async def turn(is_sending: bool) -> None:
         events.append(is_sending)
 
@@ -187,7 +187,7 @@ def test_a_coroutine_is_no_switch(events: list[object]) -> None:
         Client("rtu:///dev/ttyUSB0", rs485=turn)
 
 
-def test_no_url_shows_a_function(events: list[object]) -> None:
+def test_no_url_contains_a_function(events: list[object]) -> None:
     plc = Client("rtu:///dev/ttyUSB0", rs485=events.append, baudrate=9600)
     assert plc.url == "rtu:///dev/ttyUSB0?baudrate=9600"
     plc.close()

@@ -104,7 +104,7 @@ def test_every_scheme_takes_the_options_of_clients(scheme: str, query: str, valu
     assert parse(endpoint.url) == endpoint
 
 
-def test_all_options_of_clients_are_tried_above() -> None:
+def test_the_table_above_has_all_options_of_clients() -> None:
     assert {query.partition("=")[0] for query, _ in CLIENT_QUERIES} == set(CLIENT_OPTIONS)
 
 
@@ -117,7 +117,7 @@ def test_serial_settings_are_shown() -> None:
 
 @pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp"])
 @pytest.mark.parametrize(("text", "echo"), [("1", True), ("0", False)])
-def test_a_line_behind_a_converter_may_have_an_echo(scheme: str, text: str, echo: bool) -> None:
+def test_a_line_behind_a_converter_has_the_option_echo(scheme: str, text: str, echo: bool) -> None:
     endpoint = parse(f"{scheme}://h:4001?echo={text}&unit=7")
     assert endpoint.options == {"echo": echo}
     assert endpoint.client_options == {"unit": 7}
@@ -126,7 +126,7 @@ def test_a_line_behind_a_converter_may_have_an_echo(scheme: str, text: str, echo
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu+udp", "tls"])
-def test_an_echo_has_no_meaning_elsewhere(scheme: str) -> None:
+def test_other_endpoints_refuse_the_option_echo(scheme: str) -> None:
     with pytest.raises(ValueError, match="'echo' must be one of"):
         parse(f"{scheme}://h:4001?echo=1")
 
@@ -156,7 +156,7 @@ def test_wrong_urls_are_refused_with_what_is_allowed(refused: Refused) -> None:
     refused("wrong_urls.txt", parse)
 
 
-def test_a_misspelt_scheme_is_answered_with_close_ones() -> None:
+def test_a_misspelt_scheme_is_answered_with_similar_ones() -> None:
     with pytest.raises(ValueError, match="; did you mean tcp"):
         parse("tpc://192.0.2.10")
 
@@ -172,7 +172,7 @@ def test_parity_is_a_letter_or_a_word(text: str, parity: str) -> None:
     assert parse(f"rtu:///dev/ttyS0?parity={text}").options == {"parity": parity}
 
 
-def test_files_are_no_part_of_where_it_leads() -> None:
+def test_files_are_not_part_of_the_text_of_an_endpoint() -> None:
     endpoint = parse("tls://h?cert=a%20b.pem&ca=c&unit=7")
     assert str(endpoint) == "tls://h:802"
     assert endpoint.url == "tls://h:802?cert=a%20b.pem&ca=c&unit=7"
@@ -191,7 +191,7 @@ ODD = ["#x", "?a=1", "%23", "a b", "ä", "\udcff", "a:b@c", "+", "//x", "a&b=c",
 
 
 @each_case("path", [f"/dev/tty{odd}" for odd in ODD])
-def test_a_path_comes_back_from_its_url(path: str) -> None:
+def test_a_path_is_the_same_after_url_and_parsing(path: str) -> None:
     endpoint = Endpoint("rtu", path=path, options={"baudrate": 9600}, client_options={"unit": 3})
     assert parse(endpoint.url) == endpoint
     assert parse(str(endpoint)).path == path
@@ -231,7 +231,7 @@ def endpoints(draw: st.DrawFn) -> Endpoint:
 
 
 @given(endpoints())
-def test_every_endpoint_comes_back_from_its_url(endpoint: Endpoint) -> None:
+def test_every_endpoint_is_the_same_after_url_and_parsing(endpoint: Endpoint) -> None:
     again = parse(endpoint.url)
     assert again == endpoint
     assert (hash(again), again.key) == (hash(endpoint), endpoint.key)
@@ -311,7 +311,7 @@ def test_an_ipv4_address_in_ipv6_has_the_same_key_with_every_python() -> None:
         ("/dev/serial/by-id/usb-x", "rtu:///dev/serial/by-id/usb-x"),
     ],
 )
-def test_the_endpoint_of_what_was_typed(text: str, url: str) -> None:
+def test_typed_texts_are_parsed_into_endpoints(text: str, url: str) -> None:
     assert str(parse(text)) == url
     assert str(parse(url)) == url
 

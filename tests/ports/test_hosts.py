@@ -34,13 +34,13 @@ def test_only_this_machine_reaches_loopback(host: str) -> None:
 
 
 @each_case("host", OTHERS)
-def test_other_machines_are_other_hosts(host: str) -> None:
+def test_addresses_of_other_machines_are_not_local(host: str) -> None:
     assert not is_loopback(host)
     assert not is_this_machine(host)
 
 
 @each_case("host", ["0.0.0.0", "::"])
-def test_all_addresses_are_this_machine_but_others_reach_them(host: str) -> None:
+def test_a_wildcard_address_is_local_but_no_loopback(host: str) -> None:
     assert is_this_machine(host)
     assert not is_loopback(host)
 
@@ -103,7 +103,7 @@ def test_an_outage_lasts_until_the_port_can_be_opened(outage: Outage, caplog) ->
     assert len(caplog.messages) == 2
 
 
-def test_other_errors_are_not_taken_for_a_port_that_is_gone(outage: Outage) -> None:
+def test_other_errors_are_not_taken_for_a_missing_port(outage: Outage) -> None:
     def broken() -> None:
         raise RuntimeError
 
@@ -135,7 +135,7 @@ def url(request: pytest.FixtureRequest, tmp_path: Any) -> Iterator[tuple[str, di
 
 
 @ALL
-def test_a_client_connects_from_its_source_and_again_at_once(
+def test_a_client_uses_its_source_address_also_right_after_a_close(
     kind: str, url: tuple[str, dict[str, Any]], free: int
 ) -> None:
     """An orderly end of a TCP connection would keep its port for a minute."""
@@ -174,7 +174,7 @@ def test_a_source_port_in_use_is_named() -> None:
         ("unix:///run/x", "127.0.0.1", "source is for hosts, not for unix://"),
     ],
 )
-def test_what_is_no_source_is_refused(url: str, source: Any, text: str) -> None:
+def test_an_invalid_source_is_refused(url: str, source: Any, text: str) -> None:
     with pytest.raises((TypeError, ValueError), match=text):
         Client(url, source=source)
 

@@ -57,7 +57,7 @@ def exposing(port: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("listening", [serving, tapping, exposing])
-def test_every_address_of_a_name_takes_connections(monkeypatch, port: int, listening) -> None:
+def test_connections_are_accepted_on_every_address_of_a_name(monkeypatch, port: int, listening):
     resolve(monkeypatch, "plc.example", *HERE)
     with listening(port):
         for entry in HERE:
@@ -88,7 +88,7 @@ def local_addresses() -> list[str]:
 
 @pytest.mark.skipif(not local_addresses(), reason="no interface has a link-local address")
 @pytest.mark.parametrize("scheme", ["tcp", "udp"])
-def test_an_address_with_a_zone_can_be_listened_at(scheme: str) -> None:
+def test_a_server_listens_on_an_address_with_a_zone(scheme: str) -> None:
     url = f"{scheme}://[{local_addresses()[0]}]:0"
     with (
         Server(Device(Mapping(1))).background(url) as running,
@@ -119,7 +119,7 @@ def test_an_address_of_another_machine_is_left_out_beside_others(monkeypatch, po
 
 
 @pytest.mark.usefixtures("only_here")
-def test_no_address_of_this_machine_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_without_any_address_of_this_machine_is_an_error(monkeypatch: pytest.MonkeyPatch):
     resolve(monkeypatch, "plc.example", "192.0.2.1", "192.0.2.2")
     with pytest.raises(OSError, match="assign") as caught:
         listen_on("plc.example", 0)
@@ -159,7 +159,7 @@ RTU = rtu("11 03 02 022B")
         ("Zähler", (0, ("Zähler".encode(),))),
     ],
 )
-def test_items_of_a_greeting(text: str, greeting: Any) -> None:
+def test_a_greeting_is_parsed_into_its_items(text: str, greeting: Any) -> None:
     assert greeting_of("greeting", text) == greeting
 
 
@@ -174,7 +174,7 @@ def frames(greeting: Greeting, data: bytes, size: int) -> bytes:
 
 
 @given(st.lists(st.sampled_from([IMEI, HEARTBEAT, MBAP, LONG]), max_size=6), st.integers(1, 300))
-def test_texts_between_frames_with_a_header_are_dropped(parts: list[bytes], size: int) -> None:
+def test_heartbeats_between_frames_with_a_header_are_dropped(parts: list[bytes], size: int) -> None:
     """Also from the middle of what was received together; a frame may contain such a text."""
     greeting = Greeting(0, (IMEI, HEARTBEAT), has_header=True)
     data = b"".join(part for part in parts if part in (MBAP, LONG))
@@ -182,12 +182,12 @@ def test_texts_between_frames_with_a_header_are_dropped(parts: list[bytes], size
 
 
 @each_case("chunks", [[IMEI, RTU], [IMEI + RTU], [RTU + HEARTBEAT], [IMEI[:4], IMEI[4:], RTU]])
-def test_texts_around_a_frame_of_a_line_are_dropped(chunks: list[bytes]) -> None:
+def test_heartbeats_around_a_frame_of_a_line_are_dropped(chunks: list[bytes]) -> None:
     greeting = Greeting(0, (IMEI, HEARTBEAT), has_header=False)
     assert b"".join(map(greeting.drop, chunks)) == RTU
 
 
-def test_an_answer_of_a_line_that_comes_in_pieces_is_passed_on() -> None:
+def test_an_answer_of_a_line_in_pieces_is_passed_on() -> None:
     greeting = Greeting(0, (IMEI, HEARTBEAT), has_header=False)
     assert frames(greeting, RTU, 1) == RTU
 
@@ -199,13 +199,13 @@ def test_the_first_bytes_of_each_connection_are_dropped(size: int) -> None:
         assert frames(greeting, bytes(20) + MBAP, size) == MBAP
 
 
-def test_a_frame_may_begin_behind_bytes_of_no_frame() -> None:
+def test_a_frame_may_begin_after_bytes_that_are_no_frame() -> None:
     greeting = Greeting(0, (HEARTBEAT,), has_header=True)
     greeting.drop(b"hello, this is no frame")
     greeting.expect_frame()
     assert greeting.drop(HEARTBEAT + MBAP) == MBAP
 
 
-def test_texts_may_follow_the_first_bytes() -> None:
+def test_heartbeats_may_follow_the_dropped_first_bytes() -> None:
     greeting = Greeting(20, (HEARTBEAT,), has_header=True)
     assert frames(greeting, bytes(20) + HEARTBEAT + MBAP + HEARTBEAT, 64) == MBAP

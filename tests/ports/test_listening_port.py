@@ -113,12 +113,12 @@ def dialling(port: int, *arguments: Any) -> Iterator[list[Modem]]:
 
 @ALL
 @pytest.mark.parametrize("scheme", ["listen+tcp", "listen+rtu+tcp"])
-def test_a_client_waits_for_its_device_and_drops_what_is_no_modbus(kind: str, scheme, port: int):
+def test_a_client_waits_for_its_device_and_drops_other_bytes(kind: str, scheme, port: int):
     url = f"{scheme}://127.0.0.1:{port}?greeting=20%20bytes,www.usr.cn"
     greeting = b"89860012345678901234"
     with dialling(port, scheme, greeting) as modems, asking(kind, url, timeout=10) as plc:
         assert [plc.read_holding_registers(address, 1) for address in (7, 8)] == [[7], [8]]
-        modem = until(lambda: modems)[0]  # which its thread adds when it has connected
+        modem = until(lambda: modems)[0]  # the modem's thread adds it after connecting
         modem.heartbeat = HEARTBEAT
         for address in range(20):
             modem.send(HEARTBEAT)
@@ -143,7 +143,7 @@ def test_a_new_connection_replaces_the_one_before(kind: str, port: int) -> None:
 
 
 @ALL
-def test_a_device_that_has_hung_up_may_connect_again(kind: str, port: int) -> None:
+def test_a_device_that_closed_its_connection_may_connect_again(kind: str, port: int) -> None:
     url = f"listen+tcp://127.0.0.1:{port}"
     with dialling(port) as modems, asking(kind, url, timeout=10) as plc:
         until(lambda: modems)[0].close()
@@ -153,7 +153,7 @@ def test_a_device_that_has_hung_up_may_connect_again(kind: str, port: int) -> No
 
 
 @ALL
-def test_a_request_that_was_under_way_times_out_and_the_next_one_is_answered(kind: str, port: int):
+def test_a_request_in_flight_times_out_and_the_next_one_is_answered(kind: str, port: int):
     url = f"listen+tcp://127.0.0.1:{port}"
     with dialling(port) as modems, asking(kind, url, timeout=0.3) as plc:
         until(lambda: modems)[0].is_silent = True
@@ -169,7 +169,7 @@ def test_without_a_device_requests_fail_as_without_a_connection(kind: str, port:
     url = f"listen+tcp://127.0.0.1:{port}"
     with dialling(port) as modems, asking(kind, url, timeout=0.2) as plc:
         until(lambda: modems)[0].close()
-        for _ in range(2):  # at once: nobody pauses who waits for a device
+        for _ in range(2):  # at once: clients that wait for a device do not pause
             start = time.monotonic()
             with pytest.raises(ModbusConnectionError, match=r"no (device|connection)"):
                 plc.read_holding_registers(1, 1)
@@ -203,7 +203,7 @@ def test_what_comes_before_the_first_request_is_dropped_and_later_a_likely_mista
 
 
 @ALL
-def test_an_answer_from_before_the_device_connected_again_is_accepted(kind: str, port: int):
+def test_an_answer_to_a_request_before_the_device_connected_again_is_accepted(kind: str, port: int):
     url = f"listen+tcp://127.0.0.1:{port}"
     with dialling(port) as modems, asking(kind, url, timeout=10) as plc:
         until(lambda: modems)[0].before_answer = lambda: modems.append(Modem(port))
@@ -212,7 +212,7 @@ def test_an_answer_from_before_the_device_connected_again_is_accepted(kind: str,
         assert [len(modem.requests) for modem in modems] == [1, 1]
 
 
-def test_a_client_that_is_closed_while_it_waits_gives_up_its_address(port: int) -> None:
+def test_a_client_that_is_closed_while_it_waits_frees_its_address(port: int) -> None:
     plc = Client(f"listen+tcp://127.0.0.1:{port}", timeout=600)
     failures: list[BaseException] = []
 
@@ -267,7 +267,7 @@ def test_a_forked_child_leaves_the_address_to_its_parent(port: int) -> None:
         pass
 
 
-def test_a_client_that_is_forgotten_gives_up_its_address(port: int) -> None:
+def test_a_collected_client_frees_its_address(port: int) -> None:
     with dialling(port):
         plc = Client(f"listen+tcp://127.0.0.1:{port}", timeout=10)
         assert plc.read_holding_registers(1, 1) == [1]
@@ -323,7 +323,7 @@ def test_a_fleet_polls_a_device_that_connects(port: int, tmp_path: Path) -> None
         ("tcp://0.0.0.0:1502", {"greeting": "x"}, "greeting is for listen\\+tcp://, not for tcp"),
     ],
 )
-def test_options_not_fit_for_listening_are_refused(url: str, options: Any, text: str) -> None:
+def test_options_that_do_not_apply_to_listening_are_refused(url: str, options: Any, text: str):
     with pytest.raises(ValueError, match=text):
         Client(url, **options)
 

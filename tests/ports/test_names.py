@@ -92,8 +92,8 @@ def test_each_caller_gets_an_error_of_its_own(resolver: Resolver) -> None:
     assert first.errno == second.errno == socket.EAI_NONAME
 
 
-async def test_no_name_waits_for_others(resolver: Resolver) -> None:
-    """Nor does an address or this machine, for which the system asks nobody."""
+async def test_no_look_up_waits_for_another_name(resolver: Resolver) -> None:
+    """Addresses and localhost do not wait either, because no thread looks them up."""
 
     names = [f"stuck{number}" for number in range(100)]
     tasks = [asyncio.create_task(look_up(wanted(name))) for name in names]
@@ -105,7 +105,7 @@ async def test_no_name_waits_for_others(resolver: Resolver) -> None:
         task.cancel()
 
 
-def test_a_name_has_one_thread_however_often_its_clients_give_up(resolver: Resolver) -> None:
+def test_a_name_has_one_thread_however_many_clients_give_up(resolver: Resolver) -> None:
     async def main() -> None:
         for _ in range(20):
             with pytest.raises(TimeoutError):
@@ -116,7 +116,7 @@ def test_a_name_has_one_thread_however_often_its_clients_give_up(resolver: Resol
     assert resolver.asked == ["stuck"]
 
 
-def test_the_loop_has_its_own_threads_for_itself_and_ends_without_waiting(resolver: Resolver):
+def test_look_ups_use_none_of_the_threads_of_the_loop(resolver: Resolver):
     async def main() -> None:
         tasks = [
             asyncio.create_task(run_async(resolving(f"stuck{number}"))) for number in range(40)
@@ -132,7 +132,7 @@ def test_the_loop_has_its_own_threads_for_itself_and_ends_without_waiting(resolv
     assert all(thread.daemon for thread in threading.enumerate() if thread.name == "look-up")
 
 
-def test_blocking_and_asyncio_clients_share_it(resolver: Resolver, waker: Waker) -> None:
+def test_blocking_and_asyncio_clients_share_a_look_up(resolver: Resolver, waker: Waker) -> None:
     results: list[Any] = []
     blocking = threading.Thread(target=lambda: results.append(run(resolving("stuck"), waker)))
     blocking.start()
@@ -170,7 +170,7 @@ def test_a_blocking_client_that_looks_up_a_name_can_be_woken(resolver: Resolver,
     waking.join()
 
 
-def test_a_loop_that_was_closed_meanwhile_stops_no_other(resolver: Resolver) -> None:
+def test_a_loop_that_was_closed_meanwhile_leaves_other_callers_their_result(resolver: Resolver):
     calls: list[int] = []
 
     def fails() -> None:
@@ -201,7 +201,7 @@ def test_errors_of_a_look_up_are_raised(monkeypatch, error, text) -> None:
         question.result()
 
 
-def test_no_thread_is_an_error_and_leaves_nothing(resolver: Resolver, waker: Waker, monkeypatch):
+def test_a_failure_to_start_a_thread_is_raised(resolver: Resolver, waker: Waker, monkeypatch):
     def start(_: threading.Thread) -> None:
         raise RuntimeError("can't start new thread")
 
@@ -213,7 +213,7 @@ def test_no_thread_is_an_error_and_leaves_nothing(resolver: Resolver, waker: Wak
     assert resolver.asked == ["good"]
 
 
-def test_a_forked_child_looks_up_what_its_parent_waits_for(resolver: Resolver) -> None:
+def test_a_forked_child_repeats_the_look_up_of_its_parent(resolver: Resolver) -> None:
     ask(wanted("stuck"), lambda: None)
     until(lambda: resolver.asked == ["stuck"])
     child = os.fork()

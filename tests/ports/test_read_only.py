@@ -13,7 +13,7 @@ from libmodbus_py.ports import serial
 from libmodbus_py.ports.serial import ReadOnlySerialPort
 
 
-def test_settings_are_made_and_put_back() -> None:
+def test_settings_are_set_and_restored() -> None:
     master, slave = pty.openpty()
     path = os.ttyname(slave)
     os.close(slave)
@@ -51,8 +51,8 @@ def test_settings_of_another_program_stay() -> None:
         os.close(slave)
 
 
-def test_settings_of_a_program_elsewhere_stay_and_it_is_named(caplog) -> None:
-    """Whoever has the port open in another process."""
+def test_settings_of_a_program_in_another_namespace_are_kept(caplog) -> None:
+    """A process with the port open in another namespace."""
     master, slave = pty.openpty()
     path = os.ttyname(slave)
     before = termios.tcgetattr(slave)
@@ -73,7 +73,7 @@ def test_settings_of_a_program_elsewhere_stay_and_it_is_named(caplog) -> None:
         os.close(master)
 
 
-def test_a_port_that_has_the_settings_already_but_no_parity() -> None:
+def test_a_port_that_has_its_settings_already_opens_without_parity() -> None:
     """glibc's tcsetattr calls that an error."""
     master, slave = pty.openpty()
     path = os.ttyname(slave)
@@ -87,7 +87,7 @@ def test_a_port_that_has_the_settings_already_but_no_parity() -> None:
     os.close(master)
 
 
-def test_a_setting_that_the_driver_keeps_otherwise_is_refused(monkeypatch) -> None:
+def test_a_setting_that_the_driver_changes_is_refused(monkeypatch) -> None:
     master, slave = pty.openpty()
     path = os.ttyname(slave)
     os.close(slave)

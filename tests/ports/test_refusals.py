@@ -90,7 +90,7 @@ class Connecting:
 
 
 class TestSettings:
-    def test_settings_that_are_refused_twice_are_refused(self, wire: SerialWire, monkeypatch):
+    def test_settings_that_are_refused_twice_are_an_error(self, wire: SerialWire, monkeypatch):
         port_ = SerialPort(wire.client)
         with monkeypatch.context() as patch:
             patch.setattr(serial, "lib", Connecting(errno.EINVAL, errno.EINVAL))
@@ -102,7 +102,7 @@ class TestSettings:
         assert port_.descriptor == -1
         assert is_free(wire.client)
 
-    def test_settings_that_are_refused_once_were_there_already(self, wire: SerialWire, monkeypatch):
+    def test_settings_that_are_refused_once_are_accepted(self, wire: SerialWire, monkeypatch):
         """As glibc says of a pseudo-terminal, which has no parity."""
         monkeypatch.setattr(serial, "lib", Connecting(errno.EINVAL))
         port_ = SerialPort(wire.client)
@@ -111,14 +111,14 @@ class TestSettings:
         port_.close()
 
     @pytest.mark.parametrize("number", [errno.EIO, errno.ENXIO, errno.EMFILE])
-    def test_another_error_is_raised_and_not_retried(self, number, wire: SerialWire, monkeypatch):
+    def test_another_settings_error_is_raised_at_once(self, number, wire: SerialWire, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(serial, "lib", Connecting(number, errno.EDOM))
             with failing(number):
                 SerialPort(wire.client).open()
         assert is_free(wire.client)
 
-    def test_what_interrupts_the_opening_leaves_the_port_free(self, wire: SerialWire, monkeypatch):
+    def test_an_exception_while_opening_leaves_the_port_free(self, wire: SerialWire, monkeypatch):
         def interrupt(port: SerialPort) -> None:
             raise KeyboardInterrupt
 
@@ -188,7 +188,7 @@ class TestSettingsOfTheDriver:
         with failing(errno.EINVAL, "the port does 9600, and at most 115200$"):
             SerialPort(wire.client, baudrate=230_400).open()
 
-    def test_a_system_that_tells_no_rate_is_believed(self, wire: SerialWire, monkeypatch) -> None:
+    def test_a_system_without_a_rate_to_read_back_is_accepted(self, wire: SerialWire, monkeypatch):
         """As on processors whose termios2 differs."""
         monkeypatch.setattr(serial, "_baudrate_of", lambda descriptor: None)
         port_ = SerialPort(wire.client, baudrate=230_400)
@@ -207,7 +207,7 @@ class TestSettingsOfTheDriver:
     def test_a_size_or_parity_that_hardware_does_not_take_is_refused(
         self, settings: Any, text: str, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        """Pseudo-terminals refuse both, and are believed, because they have no line."""
+        """Pseudo-terminals refuse both, which is accepted, because they have no line."""
         port_ = SerialPort(wire.client, **settings)
         port_.open()
         port_.close()
@@ -235,7 +235,7 @@ class TestSettingsOfTheDriver:
 
 
 class TestOpening:
-    def test_an_error_of_a_port_without_hardware(
+    def test_a_port_without_hardware_is_named_in_the_error(
         self, wire: SerialWire, monkeypatch, tmp_path
     ) -> None:
         """A ttyS of a kernel that lists more of them than there are: each call fails."""
@@ -251,13 +251,13 @@ class TestOpening:
             SerialPort(wire.client).open()
 
     def test_an_error_of_an_exclusive_port_names_its_process(self, wire: SerialWire) -> None:
-        """What TIOCEXCL of another program does; not to root, who may run the tests."""
+        """TIOCEXCL of another program has this effect; not for root, who may run the tests."""
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(os, "open", raising(errno.EBUSY))
             with failing(errno.EBUSY, "in use by another program"):
                 SerialPort(wire.client).open()
 
-    def test_a_port_that_is_open_here_is_not_opened_again(self, port: SerialPort, monkeypatch):
+    def test_a_port_open_in_this_process_is_refused(self, port: SerialPort, monkeypatch):
         """Opening a port raises its RTS, which makes a transceiver send."""
         monkeypatch.setattr(os, "open", raising(errno.EDOM))
         with failing(errno.EBUSY, "in use by this program itself"):
@@ -272,12 +272,12 @@ class TestBytes:
         with refusing(os, "write", number):
             port.send([b"request"], 0.0)
 
-    def test_a_read_that_would_wait_is_nothing(self, port: SerialPort, monkeypatch) -> None:
+    def test_a_read_that_would_block_returns_nothing(self, port: SerialPort, monkeypatch) -> None:
         monkeypatch.setattr(os, "read", raising(errno.EAGAIN))
         assert port.receive() == []
 
     @pytest.mark.parametrize("event", [select.POLLHUP, select.POLLERR])
-    def test_a_read_of_nothing_from_a_port_that_hung_up_is_its_end(
+    def test_an_empty_read_from_a_port_that_hung_up_is_an_error(
         self, event: int, port: SerialPort, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         class Poll:
@@ -290,7 +290,7 @@ class TestBytes:
         with failing(errno.EIO, "the port is gone"):
             port.receive()
 
-    def test_a_port_that_takes_nothing_now_loses_the_frame(self, port: SerialPort, monkeypatch):
+    def test_a_frame_is_lost_at_a_port_with_a_full_buffer(self, port: SerialPort, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(os, "write", raising(errno.EAGAIN))
             port.send([b"request"], 0.0)
@@ -344,12 +344,12 @@ def dead_port(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     monkeypatch.setattr(socket.socket, "connect_ex", of_itself(connect_ex))
     yield port
     monkeypatch.undo()
-    with socket.socket() as bound:  # it was left as it was found: nothing waits in the system
+    with socket.socket() as bound:  # the socket is unchanged: nothing waits in the system
         bound.bind(("127.0.0.1", port))
 
 
-def test_the_system_connects_an_unused_port_to_itself(dead_port: int) -> None:
-    """The system does it: without this the other tests here would show nothing."""
+def test_the_system_connects_a_socket_to_itself(dead_port: int) -> None:
+    """Without this effect of the system, the other tests here would show nothing."""
     with socket.socket() as sock:
         sock.connect(("127.0.0.1", dead_port))
         assert sock.getsockname() == sock.getpeername()
@@ -358,7 +358,7 @@ def test_the_system_connects_an_unused_port_to_itself(dead_port: int) -> None:
 
 @ALL
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_clients_refuse_such_a_port(kind: str, scheme: str, dead_port: int, tmp_path: Path) -> None:
+def test_clients_refuse_self_connection(kind: str, scheme: str, dead_port: int, tmp_path: Path):
     options: dict[str, Any] = {}
     if scheme == "tls":
         options["security"] = Pki(tmp_path).security(certificates.client())
@@ -372,7 +372,7 @@ def test_clients_refuse_such_a_port(kind: str, scheme: str, dead_port: int, tmp_
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "udp"])
-def test_the_line_of_a_gateway(scheme, dead_port: int, caplog) -> None:
+def test_gateways_refuse_self_connection(scheme, dead_port: int, caplog) -> None:
     gateway = Gateway([Route(f"{scheme}://127.0.0.1:{dead_port}")])
     with (
         gateway.background("tcp://127.0.0.1:0") as running,
@@ -383,7 +383,7 @@ def test_the_line_of_a_gateway(scheme, dead_port: int, caplog) -> None:
     assert "Connection refused" in caplog.text
 
 
-def test_the_links_of_a_tap(dead_port: int, caplog: pytest.LogCaptureFixture) -> None:
+def test_taps_refuse_self_connection(dead_port: int, caplog: pytest.LogCaptureFixture) -> None:
     for host, reason in (
         ("127.0.0.1", "Connection refused"),
         ("a..b", "it cannot be the name of a host"),

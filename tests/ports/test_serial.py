@@ -1,4 +1,4 @@
-"""Serial ports: silence, settings, who may have them, and what a read of nothing means."""
+"""Serial ports: silence, settings, locks, and reads that return no bytes."""
 
 import errno
 import fcntl
@@ -49,16 +49,16 @@ def test_after_a_byte_the_line_must_be_quiet() -> None:
     assert silence.over_at == pytest.approx(10.004)
 
 
-def test_bytes_take_their_time_before_the_quiet_begins() -> None:
+def test_the_time_of_received_bytes_counts_before_the_silence() -> None:
     """8 characters of 1 ms."""
     silence = Silence(0.004, character=0.001)
     silence.sent(8, 10)
     assert silence.over_at == pytest.approx(10.012)
-    silence.heard(10.009)  # an answer, so all has left
+    silence.heard(10.009)  # received bytes show that all was sent
     assert silence.over_at == pytest.approx(10.013)
 
 
-def test_a_line_that_is_turned_round_is_ours_until_it_is_back() -> None:
+def test_a_line_with_a_turnaround_delay_is_silent_only_after_it() -> None:
     silence = Silence(0.004, character=0.001, turn=0.1)
     silence.sent(8, 10)
     assert silence.over_at == pytest.approx(10.212)
@@ -82,11 +82,11 @@ def test_silence_and_characters_are_those_of_the_specification(settings, silence
     assert port_.silence.character == pytest.approx(character)
 
 
-def test_bad_setting_is_named(refused: Refused) -> None:
+def test_an_invalid_setting_is_named(refused: Refused) -> None:
     refused("wrong_settings.txt", lambda settings: SerialPort("/dev/x", **settings))
 
 
-def test_settings_are_made_and_come_back_when_the_port_is_closed() -> None:
+def test_settings_are_restored_when_the_port_is_closed() -> None:
     master, slave = pty.openpty()
     try:
         tty.setcbreak(slave)
@@ -106,7 +106,7 @@ def test_settings_are_made_and_come_back_when_the_port_is_closed() -> None:
 
 
 @each_case("baudrate", [50, 1800, 14400, 56000, 128000, 250000, 2000000])
-def test_baudrate_that_libmodbus_would_turn_into_9600_is_set(baudrate: int) -> None:
+def test_a_baudrate_unknown_to_libmodbus_is_set(baudrate: int) -> None:
     with FakeUnit() as unit:
         port_ = SerialPort(unit.path, baudrate=baudrate)
         port_.open()
@@ -133,7 +133,7 @@ def test_kernel_rs485_on_a_port_without_it_is_refused(wire: SerialWire) -> None:
         (__file__, errno.ENOTTY),
     ],
 )
-def test_what_is_no_serial_port_is_refused(device: str, number: int) -> None:
+def test_a_path_that_is_no_serial_port_is_refused(device: str, number: int) -> None:
     with pytest.raises(ModbusConnectionError) as caught:
         SerialPort(device).open()
     assert caught.value.errno == number
@@ -153,7 +153,7 @@ def test_a_port_that_this_user_may_not_open_names_the_group(monkeypatch, wire: S
     assert caught.value.errno == errno.EACCES
 
 
-def test_an_error_of_a_second_client_on_a_port_names_for_unit(
+def test_an_error_of_a_second_client_on_a_port_suggests_for_unit(
     port: SerialPort, wire: SerialWire, tmp_path: Path
 ) -> None:
     link = tmp_path / "ttyPLC"
@@ -178,8 +178,8 @@ sys.stdin.read()
 """
 
 
-def test_a_port_of_another_program_is_an_error_until_that_ends(wire: SerialWire) -> None:
-    """That one dies without closing it, and leaves its settings."""
+def test_a_port_of_another_program_is_an_error_until_that_program_ends(wire: SerialWire) -> None:
+    """The program dies without closing the port, and leaves its settings."""
     holding = [sys.executable, "-c", HOLD, wire.client]
     with subprocess.Popen(holding, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         assert other.stdout is not None
@@ -194,7 +194,7 @@ def test_a_port_of_another_program_is_an_error_until_that_ends(wire: SerialWire)
         port_.close()
 
 
-def test_a_fork_leaves_the_port_alone(port: SerialPort, wire: SerialWire) -> None:
+def test_a_fork_does_not_change_the_port(port: SerialPort, wire: SerialWire) -> None:
     before = termios.tcgetattr(port.descriptor)
     child = os.fork()
     if child == 0:
@@ -208,7 +208,7 @@ def test_a_fork_leaves_the_port_alone(port: SerialPort, wire: SerialWire) -> Non
         SerialPort(wire.client).open()
 
 
-def test_a_port_that_is_abandoned_while_it_sends_touches_no_line(wire: SerialWire) -> None:
+def test_a_port_that_is_abandoned_while_it_sends_sets_no_rts(wire: SerialWire) -> None:
     """As in a forked child: RTS is its parent's; nor does what was begun complain later."""
     port_ = SerialPort(wire.client, rs485="rts-up", rts_delay=0.02)
     port_.open()
@@ -221,14 +221,14 @@ def test_a_port_that_is_abandoned_while_it_sends_touches_no_line(wire: SerialWir
 
 
 def heard(port: SerialPort, wire: SerialWire, data: bytes) -> None:
-    """Bytes have come, and wait to be read."""
+    """Write bytes, and wait until the port can read them."""
     other = os.open(wire.server, os.O_WRONLY | os.O_NOCTTY)
     os.write(other, data)
     until(port.has_input)
     os.close(other)
 
 
-def test_bytes_flushed_between_poll_and_read_are_no_closed_port(
+def test_bytes_flushed_between_poll_and_read_do_not_count_as_a_closed_port(
     port: SerialPort, wire: SerialWire
 ) -> None:
     heard(port, wire, b"noise")
@@ -249,7 +249,7 @@ def test_bytes_before_the_port_was_opened_are_dropped(wire: SerialWire) -> None:
     first.close()
 
 
-def test_a_port_that_is_gone_is_a_connection_error(port: SerialPort, wire: SerialWire) -> None:
+def test_a_missing_port_is_a_connection_error(port: SerialPort, wire: SerialWire) -> None:
     wire.unplug()
     until(port.has_input)
     with pytest.raises(ModbusConnectionError) as caught:
@@ -257,7 +257,7 @@ def test_a_port_that_is_gone_is_a_connection_error(port: SerialPort, wire: Seria
     assert caught.value.errno == errno.EIO
 
 
-def test_rts_is_held_while_it_sends(wire: SerialWire) -> None:
+def test_rts_is_set_while_it_sends(wire: SerialWire) -> None:
     """A character has 11 bits, and the delays are 20 ms each."""
     port_ = SerialPort(wire.client, baudrate=1200, rs485="rts-up", rts_delay=0.02)
     port_.open()
@@ -321,19 +321,19 @@ def test_serial_devices_are_described_from_sysfs(machine: Path) -> None:
     ]
 
 
-def test_a_machine_without_any(tmp_path: Path) -> None:
+def test_a_machine_without_serial_ports_has_an_empty_list(tmp_path: Path) -> None:
     assert serial_devices(str(tmp_path)) == []
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may open everything")
-def test_ports_that_this_user_may_not_open(machine: Path) -> None:
+def test_ports_that_this_user_may_not_open_are_listed(machine: Path) -> None:
     (machine / "dev/ttyS0").chmod(0)
     assert serial_devices(str(machine))[0].state == "no permission"
     (machine / "proc/78/fd").chmod(0)
     assert serial_devices(str(machine))[2].state == "not known"
 
 
-def test_ports_shows_users(machine: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_ports_lists_programs(machine: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setattr(ports, "serial_devices", lambda: serial_devices(str(machine)))
     process = run("ports")
     assert (process.code, process.err) == (0, "")

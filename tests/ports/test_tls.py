@@ -15,7 +15,7 @@ SECRET = "open sesame"
 
 
 @pytest.mark.parametrize("make", [Client, AsyncClient])
-def test_security_goes_with_tls_and_tls_with_security(make: Any, pki: Pki) -> None:
+def test_security_needs_tls_and_tls_needs_security(make: Any, pki: Pki) -> None:
     security = pki.client()
     url = pki.url("tls://h", certificates.client())
     for wrong, options, text in (
@@ -37,7 +37,7 @@ def test_security_goes_with_tls_and_tls_with_security(make: Any, pki: Pki) -> No
     assert make(url).url == make("tls://h", security=security).url == "tls://h:802"
 
 
-def test_a_client_of_its_own(pki: Pki) -> None:
+def test_a_client_accepts_a_security_of_its_own(pki: Pki) -> None:
     security = pki.client()
     assert Client("tls://h", security=security).url == "tls://h:802"
     with pytest.raises(ValueError, match="tls://h:802 needs security"):
@@ -85,7 +85,7 @@ def test_the_fault_of_a_file_is_named(pki: Pki, monkeypatch, change, text) -> No
     assert "sesame" not in str(caught.value)
 
 
-def test_the_password_is_nowhere_to_be_seen(pki: Pki, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_text_shows_the_password(pki: Pki, monkeypatch: pytest.MonkeyPatch) -> None:
     files = pki.files(certificates.client(), SECRET.encode())
     security = Security(files.cert, files.key, trust=pki.ca, password=SECRET)
     monkeypatch.setenv("KEY_PASSWORD", SECRET)

@@ -93,7 +93,7 @@ def traced(scheme: str, adu: bytes, unit: int | None, function: int | None) -> T
 
 
 @each_case(("scheme", "adu"), ADUS.items())
-def test_the_pdu_of_an_adu(scheme: str, adu: bytes) -> None:
+def test_a_traced_frame_has_the_pdu_of_its_adu(scheme: str, adu: bytes) -> None:
     assert traced(scheme, adu, 0x11, 3).pdu == PDU
 
 
@@ -112,7 +112,7 @@ def test_frames_of_lines_have_no_transaction(scheme: str) -> None:
 
 
 @each_case("scheme", ADUS)
-def test_bytes_that_are_no_frame_have_neither(scheme: str) -> None:
+def test_bytes_that_are_no_frame_have_no_pdu_and_no_transaction(scheme: str) -> None:
     each = traced(scheme, b":\x11", None, None)
     assert (each.pdu, each.transaction) == (b"", None)
 
@@ -169,7 +169,7 @@ def test_a_child_abandons_each_owner_once() -> None:
     assert times_in_a_child(*owners) == [1, 1]
 
 
-def test_an_owner_that_fails_keeps_no_other_from_it() -> None:
+def test_an_owner_that_fails_does_not_keep_other_owners_from_being_abandoned() -> None:
     owners = Owner(), Owner(OSError("fails")), Owner()
     for owner in owners:
         abandoned_in_children(owner)

@@ -121,7 +121,7 @@ def by_another_user(call: Callable[[], object]) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
-def test_a_server_that_was_killed_as_it_began_does_not_keep_its_user_out(open_folder: str) -> None:
+def test_a_server_killed_while_it_begins_does_not_lock_its_user_out(open_folder: str) -> None:
     path = f"{open_folder}/m.sock"
 
     def begin(and_then: Callable[..., object]) -> None:
@@ -147,13 +147,13 @@ def test_users_but_owner_and_group_may_not_connect(open_folder: str) -> None:
         assert by_another_user(connect) == 0
 
 
-def test_a_server_ends_although_its_folder_is_gone(path: str) -> None:
+def test_a_server_ends_although_its_folder_was_removed(path: str) -> None:
     with server().background(f"unix://{path}"):
         shutil.rmtree(os.path.dirname(path))
     assert not os.path.exists(path)
 
 
-def test_a_client_stays_with_its_server_when_the_path_gets_another(path: str) -> None:
+def test_a_client_stays_with_its_server_when_another_one_gets_the_path(path: str) -> None:
     with server().background(f"unix://{path}"), Client(f"unix://{path}") as first:
         os.unlink(path)
         with server().background(f"unix://{path}"), Client(f"unix://{path}") as second:
@@ -163,7 +163,7 @@ def test_a_client_stays_with_its_server_when_the_path_gets_another(path: str) ->
         assert first.read_holding_registers(0, 1) == [1]
 
 
-def test_the_file_ends_with_the_server(path: str) -> None:
+def test_the_socket_file_is_removed_with_the_server(path: str) -> None:
     for _ in range(2):
         with server().background(f"unix://{path}"):
             assert os.path.exists(path)
@@ -231,7 +231,7 @@ def test_a_socket_for_datagrams_is_in_use(path: str) -> None:
 
 
 @each_case("kind", ["file", "folder", "link", "dangling"])
-def test_what_is_no_socket_is_refused_and_stays(kind: str, tmp_path: Path) -> None:
+def test_a_file_that_is_no_socket_is_refused_and_stays(kind: str, tmp_path: Path) -> None:
     folder = tmp_path / kind
     folder.mkdir()
     path = folder / "x"
@@ -273,7 +273,7 @@ def test_the_longest_path_can_be_used_and_no_longer_one(path: str) -> None:
         Client(f"unix://{longest}x")
 
 
-def test_odd_names_work(path: str) -> None:
+def test_unusual_names_work(path: str) -> None:
     url = f"unix://{path}%23%20%3F%C3%A4%25"
     with server().background(url) as running, Client(running.urls[0]) as client:
         assert running.urls == [url]
@@ -348,7 +348,7 @@ def test_a_folder_that_stays_locked_is_an_error(path: str, monkeypatch: pytest.M
         refused(path, errno.EBUSY, "locked by another program")
 
 
-async def test_a_locked_folder_holds_up_only_its_own_server(path: str) -> None:
+async def test_a_locked_folder_delays_only_its_own_server(path: str) -> None:
     with locked(os.path.dirname(path)):
         starting = asyncio.ensure_future(UnixListener(path).open())
         for _ in range(3):
@@ -367,7 +367,7 @@ def test_no_server_is_a_connection_error(path: str) -> None:
 
 
 @each_case("kind", ["file", "folder", "datagrams"])
-def test_what_is_no_server_is_a_connection_error_of_both_clients(kind: str) -> None:
+def test_a_peer_that_is_no_server_is_a_connection_error_of_both_clients(kind: str) -> None:
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         path = f"{folder}/m.sock"
         if kind == "file":
@@ -409,7 +409,7 @@ def test_networks_do_not_concern_paths_but_the_limits_of_one_address_do(path: st
         assert server_.statistics.refused_address >= 1
 
 
-def test_the_path_is_the_name_of_a_client_that_has_gone(path: str) -> None:
+def test_the_path_is_the_name_of_a_client_that_closed_its_socket(path: str) -> None:
     one, other = socket.socketpair(socket.AF_UNIX)
     one.close()
     other.close()

@@ -63,7 +63,7 @@ def soon(seconds: float = 0.2) -> float:
     return time.monotonic() + seconds
 
 
-def test_steps_get_what_is_ready(drive: Drive, pair: tuple[socket.socket, socket.socket]) -> None:
+def test_steps_get_readiness(drive: Drive, pair: tuple[socket.socket, socket.socket]) -> None:
     one, other = pair
 
     def steps() -> Steps[list[bool]]:
@@ -110,7 +110,7 @@ def own_name(monkeypatch: pytest.MonkeyPatch) -> str:
     return "this-machine"
 
 
-def test_names_and_addresses_are_looked_up(drive: Drive, own_name: str) -> None:
+def test_names_and_addresses_are_resolved(drive: Drive, own_name: str) -> None:
     assert [row[4] for row in drive(resolving("127.0.0.1"))] == [("127.0.0.1", 502)]
     assert [row[4][:2] for row in drive(resolving("::1"))] == [("::1", 502)]
     assert "127.0.0.1" in [row[4][0] for row in drive(resolving(own_name))]
@@ -196,7 +196,7 @@ def test_udp_is_connected_at_once(drive: Drive) -> None:
     port.close()
 
 
-def test_udp_tells_a_closed_port_after_what_came_and_sends_to_it_once_it_is_open() -> None:
+def test_a_closed_udp_port_is_reported_after_its_answers_and_used_again_once_open() -> None:
     def listener(port: int = 0) -> socket.socket:
         port_ = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         port_.bind(("127.0.0.1", port))
@@ -229,7 +229,7 @@ def woken_after(waker: Waker, condition: Callable[[], object] = lambda: True) ->
 
     def wake() -> None:
         until(condition)
-        time.sleep(0.02)  # until it waits, which nobody tells
+        time.sleep(0.02)  # until the thread waits, which cannot be seen
         waker.wake()
 
     thread = threading.Thread(target=wake)
@@ -247,12 +247,12 @@ def test_a_wake_ends_an_attempt_to_connect(waker: Waker) -> None:
         run(TcpPort("127.0.0.1", port, None).opening(soon(10)), waker)
 
 
-def test_woken_in_a_pause(waker: Waker) -> None:
+def test_a_pause_ends_when_it_is_woken(waker: Waker) -> None:
     with woken_after(waker):
         waker.wait(-1, READ, soon(10))
 
 
-def test_a_cleared_waker_wakes_no_more(waker: Waker) -> None:
+def test_a_cleared_waker_does_not_wake(waker: Waker) -> None:
     waker.clear()
     waker.wake()
     waker.wake()
@@ -302,13 +302,13 @@ def test_cancelling_closes_the_socket() -> None:
     ("seconds", "rounded"),
     [(0, 0), (-1, 0), (0.0001, 1), (0.001, 1), (0.0011, 2), (1, 1000), (1e9, 86_400_000)],
 )
-def test_milliseconds_are_rounded_up_to_a_day_at_most(seconds: float, rounded: int) -> None:
+def test_milliseconds_are_rounded_up_and_limited_to_a_day(seconds: float, rounded: int) -> None:
     assert milliseconds(seconds) == rounded
     assert milliseconds(float("inf")) == 86_400_000
 
 
 class Counted:
-    """In place of what polls: nothing ever happens, and the clock moves by what was waited."""
+    """In place of `poll`: nothing is ready, and the clock moves by the time waited."""
 
     def __init__(self) -> None:
         self.now = 0.0

@@ -51,7 +51,7 @@ class TestAscii:
         assert len(errors) == 1
 
     @each_case("end", [b"\r", b"\n", b"\n\r"])
-    def test_one_of_both_alone_ends_a_frame(self, end: bytes) -> None:
+    def test_either_cr_or_lf_alone_ends_a_frame(self, end: bytes) -> None:
         frame = self.good[:-2] + end
         framer = AsciiFramer()
         assert take(framer, frame * 3)[0] + framer.silence() == [READ] * 3
@@ -151,7 +151,7 @@ class TestAscii:
             ("03 02 00 03", 0x24),
         ],
     )
-    def test_delimiter_after_an_answer(self, answer: str, delimiter: int) -> None:
+    def test_the_delimiter_changes_with_the_answer(self, answer: str, delimiter: int) -> None:
         assert delimiter_after(bytes.fromhex(answer), 0x24) == delimiter
 
     @each_case("delimiter", [-1, 128, 256, *b":\r0123456789ABCDEFabcdef"])

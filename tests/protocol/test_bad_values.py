@@ -24,7 +24,7 @@ from tests.support.values import (
 
 class TestErrors:
     @each_case("name", LIMITS)
-    def test_integers_have_limits(self, name: str) -> None:
+    def test_integers_have_a_range(self, name: str) -> None:
         low, high = LIMITS[name]
         for value in (low, high):
             assert decode(encode(value, name), name) == value
@@ -47,7 +47,7 @@ class TestErrors:
             ("float64", r"-1\.7976931e\+308\.\.1\.7976931e\+308", [10**400, -(10**400)]),
         ],
     )
-    def test_floats_have_limits(self, name: str, span: str, values: list[Any]) -> None:
+    def test_floats_have_a_range(self, name: str, span: str, values: list[Any]) -> None:
         for value in values:
             with pytest.raises(
                 ValueError, match=rf"^value must be in {span}, infinite or nan, not"
@@ -59,21 +59,21 @@ class TestErrors:
                 encode(bad, name)
 
     @each_case("registers", ["000A", "A000", "0F00", "FFFF"])
-    def test_decimals_are_decimal(self, registers: str) -> None:
+    def test_bcd_digits_must_be_decimal(self, registers: str) -> None:
         with pytest.raises(ValueError, match=rf"^registers\[0:1\] hold no bcd16: {registers} has"):
             decode(words(registers), "bcd16")
 
-    def test_bits_may_be_zeros_and_ones(self) -> None:
+    def test_bits_may_be_given_as_zeros_and_ones(self) -> None:
         assert encode([1, 0, 1] + [0] * 13, "bits16") == [5]
         assert encode((True,) * 16, "bits16") == [0xFFFF]
         assert decode([5], "bits16") == [True, False, True] + [False] * 13
         assert {type(bit) for bit in decode([5], "bits16")} == {bool}
 
-    def test_bits_are_as_many_as_named(self, refused: Refused) -> None:
+    def test_the_number_of_bits_must_match_the_names(self, refused: Refused) -> None:
         refused("wrong_bits.txt", lambda bits: encode(bits, "bits16"))
 
     @each_number
-    def test_registers_are_as_many_as_the_type_takes(self, name: str) -> None:
+    def test_the_number_of_registers_must_match_the_type(self, name: str) -> None:
         takes = value_type(name).registers
         for count in {0, takes - 1, takes + 1, 2 * takes}:
             with pytest.raises(ValueError, match=f"must hold {takes} for {name}, not {count}$"):
@@ -108,7 +108,7 @@ class TestErrors:
             function(registers)
 
     @each_case("registers", [(1, 2), array("H", [1, 2]), range(1, 3), (at for at in (1, 2))])
-    def test_registers_may_be_any_run_of_integers(self, registers: Any) -> None:
+    def test_registers_may_be_any_sequence_of_integers(self, registers: Any) -> None:
         assert decode(registers, "uint32") == 0x10002
 
     @settings(max_examples=80)
@@ -117,7 +117,7 @@ class TestErrors:
         st.sampled_from([*NUMBERS, "string:3", "string:8"]),
         st.sampled_from(list(ORDERS)),
     )
-    def test_registers_are_a_value_or_a_value_error(
+    def test_any_registers_are_a_value_or_a_value_error(
         self, registers: list[int], name: str, order: str
     ) -> None:
         try:

@@ -140,14 +140,14 @@ def test_a_handler_that_returns_a_coroutine_is_a_failure() -> None:
     assert device(handlers={pdu.WriteRegister: hidden}).answer(WRITE) == b"\x86\x04"
 
 
-def test_a_result_that_something_runs_already_is_taken() -> None:
+def test_a_result_that_already_runs_is_accepted() -> None:
     task: Any = object()
     assert finished("after_write", task) is task
     assert finished("after_write", [1]) == [1]
 
 
 @each_case("make", [waits, yields, yields_and_waits])
-def test_a_result_of_which_nothing_ran_is_refused(make: Callable[[], object]) -> None:
+def test_a_coroutine_that_was_never_started_is_refused(make: Callable[[], object]) -> None:
     with pytest.raises(TypeError, match="hook returned"):
         finished("hook", make())
 
@@ -189,7 +189,7 @@ def failing() -> Iterator[None]:
     logging.getLogger(PACKAGE).removeHandler(handler)
 
 
-def test_every_logger_of_a_module_is_harmless() -> None:
+def test_every_logger_of_the_package_is_protected() -> None:
     folder = Path(libmodbus_py.__file__).parent
     with_plain = {
         str(path.relative_to(folder))

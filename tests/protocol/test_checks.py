@@ -28,7 +28,7 @@ def test_seconds_have_to_be_in_their_range(refused: Refused) -> None:
         ("x" * 99, f"'{'x' * 12}...{'x' * 13}'"),
     ],
 )
-def test_a_value_is_short_in_messages(value: object, text: str) -> None:
+def test_a_value_is_shortened_in_messages(value: object, text: str) -> None:
     assert shown(value) == text
 
 

@@ -31,7 +31,7 @@ KNOWN = ["unit", "timeout", "retries"]
         ("xyz", ""),
     ],
 )
-def test_an_option_is_named_by_what_other_packages_call_it(name: str, end: str) -> None:
+def test_an_option_is_suggested_for_the_name_in_another_package(name: str, end: str) -> None:
     *others, name = name.split()
     names = [*KNOWN, *others]
     assert close_option(name, names) == end
@@ -39,7 +39,7 @@ def test_an_option_is_named_by_what_other_packages_call_it(name: str, end: str) 
     assert str(error) == f"'{name}' must be one of {', '.join(names)}{end}"
 
 
-def test_up_to_three_names_are_close() -> None:
+def test_up_to_three_names_are_suggested() -> None:
     names = [f"point_{entry}" for entry in "abcd"]
     hint = close_to("point_x", names, "points.")
     assert hint.startswith("; did you mean points.point_")
@@ -60,7 +60,7 @@ class Tank:
         self.options = options
 
 
-def test_an_argument_that_a_class_does_not_take_is_refused_with_a_close_name() -> None:
+def test_an_unknown_argument_is_refused_with_a_similar_name() -> None:
     assert (Valve(3).unit, Valve(3, timeout=2).timeout) == (3, 2)
     with pytest.raises(TypeError, match="'slave' must be one of unit, timeout; did you mean unit"):
         Valve(slave=3)  # type: ignore[call-arg]
@@ -134,7 +134,7 @@ def rank(form: str, order: str, value: float) -> int:
     return candidates.index((kind, number))
 
 
-def test_public_examples_are_among_the_first_three() -> None:
+def test_public_examples_rank_among_the_first_three() -> None:
     ranks = {row: rank(*row[1:]) for row in EXAMPLES}
     assert len(ranks) == 30
     assert {row: place for row, place in ranks.items() if place > 2} == {}
@@ -142,9 +142,7 @@ def test_public_examples_are_among_the_first_three() -> None:
 
 @each_case("order", ["ABCD", "CDAB", "BADC", "DCBA"])
 @each_case("value", [230.0, 100.0, 12.75, 50.0, 400.0, -5.5])
-def test_round_floats_stand_before_the_integers_that_their_registers_are_too(
-    order: str, value: float
-) -> None:
+def test_round_floats_rank_before_integers(order: str, value: float) -> None:
     assert rank("f", order, value) <= 2
 
 
@@ -156,12 +154,12 @@ def test_round_floats_stand_before_the_integers_that_their_registers_are_too(
         ([0x4366, 0x199A], ("float32", "ABCD", 230.10000610351562)),
     ],
 )
-def test_the_most_plausible_interpretation_is_the_first(registers, first) -> None:
+def test_the_most_plausible_reading_ranks_first(registers, first) -> None:
     assert readings(registers)[0] == first
 
 
 @each_case("registers", [[0x4142], [0x0102, 0x0304], [0x1234, 0x5678, 0x1111, 0x2222]])
-def test_bits_are_the_last(registers: list[int]) -> None:
+def test_readings_as_bits_rank_last(registers: list[int]) -> None:
     are_bits = [reading.type.startswith("bits") for reading in readings(registers)]
     assert are_bits == sorted(are_bits)
     assert are_bits[-1]

@@ -33,7 +33,7 @@ def take(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
-def test_a_telling_frame_that_comes_back_shows_an_echo(take: Any) -> None:
+def test_a_returned_read_shows_an_echo(take: Any) -> None:
     echo = sent(None, READ)
     assert echo.is_there is None
     assert take(echo, READ + ANSWER) == ANSWER
@@ -42,7 +42,7 @@ def test_a_telling_frame_that_comes_back_shows_an_echo(take: Any) -> None:
     assert take(echo, WRITE + WRITE) == WRITE
 
 
-def test_other_bytes_in_its_place_show_that_there_is_none(take: Any) -> None:
+def test_other_bytes_in_place_of_a_read_show_that_there_is_no_echo(take: Any) -> None:
     echo = sent(None, READ)
     assert take(echo, ANSWER) == ANSWER
     assert echo.is_there is False
@@ -51,7 +51,7 @@ def test_other_bytes_in_its_place_show_that_there_is_none(take: Any) -> None:
     assert not echo.is_holding
 
 
-def test_an_equal_write_shows_nothing_however_often_it_comes(take: Any) -> None:
+def test_a_returned_write_shows_nothing_however_often_it_comes(take: Any) -> None:
     echo = Echo(None)
     for _ in range(1000):
         echo.sent(WRITE, is_telling=False)
@@ -60,8 +60,8 @@ def test_an_equal_write_shows_nothing_however_often_it_comes(take: Any) -> None:
 
 
 @pytest.mark.parametrize("on_the_way", [1, 2, 3])
-def test_an_answer_among_writes_that_go_round_shows_the_echo(take: Any, on_the_way: int) -> None:
-    """As at a server that has answered its own answers so far, before and after it was asked."""
+def test_an_answer_between_writes_shows_the_echo(take: Any, on_the_way: int) -> None:
+    """As at a server that has executed its own answers so far, before and after the search."""
     echo = sent(None, *[WRITE] * on_the_way, ANSWER)
     for _ in range(on_the_way):
         assert take(echo, WRITE) == WRITE
@@ -83,7 +83,7 @@ def test_a_write_that_is_not_returned_shows_nothing(take: Any) -> None:
     assert echo.is_there is False
 
 
-def test_an_echo_is_disbelieved_at_the_first_frame_that_does_not_come_back(take: Any) -> None:
+def test_an_echo_ends_at_the_first_frame_that_is_not_returned(take: Any) -> None:
     echo = sent(None, READ)
     echo.without(READ)
     echo.sent(WRITE, is_telling=False)
@@ -93,7 +93,7 @@ def test_an_echo_is_disbelieved_at_the_first_frame_that_does_not_come_back(take:
     assert take(echo, WRITE) == WRITE
 
 
-def test_an_echo_that_is_set_is_believed_for_ever(take: Any) -> None:
+def test_an_echo_set_by_option_never_ends(take: Any) -> None:
     echo = sent(True, WRITE)
     assert take(echo, WRITE + OTHER) == OTHER
     echo.sent(WRITE, is_telling=False)
@@ -103,19 +103,19 @@ def test_an_echo_that_is_set_is_believed_for_ever(take: Any) -> None:
     assert take(echo, READ + ANSWER) == ANSWER
 
 
-def test_no_echo_where_it_is_set_that_there_is_none(take: Any) -> None:
+def test_an_option_without_echo_is_never_changed(take: Any) -> None:
     echo = sent(False, READ, WRITE)
     assert take(echo, READ + WRITE) == READ + WRITE
     assert echo.is_there is False
     assert not echo.is_holding
 
 
-def test_nothing_is_held_back_where_nothing_was_sent() -> None:
+def test_nothing_is_delayed_if_nothing_was_sent() -> None:
     for setting in (None, True, False):
         assert Echo(setting).without(READ[:1]) == READ[:1]
 
 
-def test_a_beginning_is_held_back_until_silence() -> None:
+def test_the_beginning_of_an_echo_is_delayed_until_silence() -> None:
     for setting, is_there in ((None, False), (True, True)):
         echo = sent(setting, READ)
         assert echo.without(READ[:-1]) == b""
@@ -127,14 +127,14 @@ def test_a_beginning_is_held_back_until_silence() -> None:
         assert echo.release() == b""
 
 
-def test_writes_alone_hold_nothing_back() -> None:
+def test_writes_alone_delay_nothing() -> None:
     echo = sent(None, WRITE, WRITE)
     assert echo.without(WRITE[:4]) == WRITE[:4]
     assert echo.without(WRITE[4:]) == WRITE[4:]
     assert echo.is_there is None
 
 
-def test_a_short_request_that_begins_like_the_last_answer_comes_with_silence() -> None:
+def test_a_short_request_that_begins_like_the_last_answer_is_returned_after_silence() -> None:
     """Status 41h: the answer to function 7 is the request, and a zero byte."""
     status = rtu("01 07 41")
     assert status == rtu("01 07") + b"\0"
@@ -145,21 +145,21 @@ def test_a_short_request_that_begins_like_the_last_answer_comes_with_silence() -
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 @pytest.mark.parametrize("setting", [None, True])
-def test_fewer_bytes_than_a_frame_has_may_come_before_an_echo(take: Any, setting, count) -> None:
+def test_stray_bytes_shorter_than_a_frame_may_come_before_an_echo(take: Any, setting, count):
     echo = sent(setting, READ)
     stray = b"\xff\0\xff"[:count]
     assert take(echo, stray + READ + ANSWER) == stray + ANSWER
     assert echo.is_there is True
 
 
-def test_more_bytes_before_it_are_something_else(take: Any) -> None:
+def test_more_stray_bytes_before_a_request_show_that_there_is_no_echo(take: Any) -> None:
     echo = sent(None, READ)
     assert take(echo, b"\xff" * 4 + READ) == b"\xff" * 4 + READ
     assert echo.is_there is False
 
 
 @pytest.mark.parametrize("request_", ["01 07", "01 11"])
-def test_a_request_of_four_bytes_is_not_held_back(request_: str) -> None:
+def test_a_request_of_four_bytes_is_not_delayed(request_: str) -> None:
     assert sent(True, ANSWER).without(rtu(request_)) == rtu(request_)
 
 
@@ -172,7 +172,7 @@ def test_a_forgotten_request_has_no_echo() -> None:
     assert echo.is_there is None
 
 
-def test_another_connection_begins_again() -> None:
+def test_a_new_connection_searches_for_an_echo_again() -> None:
     echo = sent(None, READ)
     echo.without(ANSWER)
     echo.reset()
@@ -185,8 +185,8 @@ def test_another_connection_begins_again() -> None:
 
 
 @pytest.mark.parametrize("setting", [None, True])
-def test_what_never_comes_back_is_forgotten_in_the_end(setting: bool | None) -> None:
-    """As broadcasts, to which nothing is ever received."""
+def test_requests_that_are_never_returned_are_forgotten(setting: bool | None) -> None:
+    """Such as broadcasts, to which nothing is ever received."""
     with small_memory():
         echo = Echo(setting)
         for value in range(10_000):

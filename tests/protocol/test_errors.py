@@ -51,7 +51,7 @@ def test_text_is_one_line_without_the_endpoint() -> None:
 
 
 @each_case("kind", KINDS)
-def test_an_unknown_keyword_is_refused_with_those_that_there_are(kind: type[ModbusError]) -> None:
+def test_an_unknown_keyword_is_refused_with_the_valid_ones(kind: type[ModbusError]) -> None:
     with pytest.raises(TypeError, match=r"has no argument 'slave'; it has unit, function"):
         kind(slave=17)  # type: ignore[call-arg]
 
@@ -65,7 +65,7 @@ def test_hex_is_cut_and_counted() -> None:
 
 @each_case("kind", KINDS)
 @each_case("reason", [2, 0, True, b"refused", OSError("refused"), None])
-def test_a_reason_is_text(reason: Any, kind: type[ModbusError]) -> None:
+def test_a_reason_must_be_text(reason: Any, kind: type[ModbusError]) -> None:
     with pytest.raises(TypeError, match=r"^reason must be a string") as caught:
         kind(reason)
     is_code = issubclass(kind, ExceptionResponse) and isinstance(reason, int)
@@ -73,7 +73,7 @@ def test_a_reason_is_text(reason: Any, kind: type[ModbusError]) -> None:
 
 
 @each_case("kind", KINDS)
-def test_the_first_600_bytes_are_kept_whoever_sets_them(kind: type[ModbusError]) -> None:
+def test_errors_keep_the_first_600_bytes_whoever_sets_them(kind: type[ModbusError]) -> None:
     flood = bytes(range(256)) * 300
     error = kind("x", received=flood)
     assert error.received == flood[:600]
@@ -106,7 +106,7 @@ def test_a_received_bytearray_is_kept_as_bytes() -> None:
 
 
 @pytest.mark.parametrize("vector", rows(FRAMES))
-def test_each_form_is_that_of_the_pdu(vector: FrameVector) -> None:
+def test_a_row_has_the_frame_of_the_pdu_in_each_framing(vector: FrameVector) -> None:
     request = vector.request or ("none" if vector.kind == "response" else None)
     row = frame_row(vector.id, vector.place, vector.unit, vector.pdu, {}, request)
     assert bytes.fromhex(row["rtu"]) == vector.rtu

@@ -72,7 +72,7 @@ def test_a_chunk_is_split_into_its_frames() -> None:
     assert list(split(b"")) == []
 
 
-def test_as_many_frames_are_cut_out_as_are_wanted() -> None:
+def test_frames_are_cut_out_up_to_the_number_that_is_wanted() -> None:
     frames = [mbap(3, bytes([17, 3, at]), transaction=at) for at in range(5)]
     data = b"\xff" + b"".join(frames)
     for most in range(7):

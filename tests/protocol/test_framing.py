@@ -66,11 +66,11 @@ class TestWorkedExamples:
         frame = vector.tcp_frame if line == "tcp" else vector.frame
         return make(vector), form(vector), frame
 
-    def test_encodes_to_exactly_the_bytes(self, line: str, vector: FrameVector) -> None:
+    def test_a_frame_encodes_to_exactly_the_bytes(self, line: str, vector: FrameVector) -> None:
         framer, wire, frame = self.parts(line, vector)
         assert framer.encode(frame) == wire
 
-    def test_is_found_with_its_last_byte(self, line: str, vector: FrameVector) -> None:
+    def test_a_frame_is_found_with_its_last_byte(self, line: str, vector: FrameVector) -> None:
         framer, wire, frame = self.parts(line, vector)
         *first, last = single_bytes(wire)
         for fed, byte in enumerate(first, start=1):
@@ -83,7 +83,7 @@ class TestWorkedExamples:
             assert framer.feed(last) == [frame]
         assert framer.pending == 0
 
-    def test_is_found_cut_anywhere_in_a_pair(self, line: str, vector: FrameVector) -> None:
+    def test_a_frame_is_found_wherever_two_frames_are_cut(self, line: str, vector: FrameVector):
         framer, wire, frame = self.parts(line, vector)
         for cut in range(2 * len(wire) + 1):
             first, second = framer.feed((2 * wire)[:cut]), framer.feed((2 * wire)[cut:])
@@ -145,13 +145,13 @@ class TestEncode:
             (Frame(1, b"\3", 65536), "transaction"),
         ],
     )
-    def test_frames_that_cannot_be_are_refused_by_name(
+    def test_frames_that_cannot_exist_are_refused_by_name(
         self, make: Callable[[], AnyFramer], frame: Frame, name: str
     ) -> None:
         with pytest.raises(ValueError, match=f"^{name} must "):
             make().encode(frame)
 
-    def test_transaction_goes_onto_tcp_only(self) -> None:
+    def test_only_tcp_frames_contain_the_transaction(self) -> None:
         frame = Frame(1, b"\3\0\0\0\1", 0xBEEF)
         assert TcpFramer().encode(frame)[:2] == b"\xbe\xef"
         assert RtuFramer("client").encode(frame) == rtu(1, frame.pdu)
@@ -163,7 +163,7 @@ class TestTcp:
     frame = READ._replace(transaction=7)
 
     @pytest.mark.parametrize("protocol", [1, 256, 65535])
-    def test_other_protocol_is_skipped(self, protocol: int) -> None:
+    def test_another_protocol_is_skipped(self, protocol: int) -> None:
         framer = TcpFramer()
         other = mbap(6, protocol, 6, 17, READ.pdu)
         frames, errors = take(framer, other + self.good)
@@ -193,7 +193,7 @@ class TestTcp:
         with pytest.raises(FrameError):
             framer.feed(b"\0")
 
-    def test_frames_before_the_end_of_the_stream_are_given_first(self) -> None:
+    def test_frames_before_the_end_of_the_stream_are_returned_first(self) -> None:
         framer = TcpFramer()
         assert framer.feed(self.good * 2 + mbap(8, 0, 0, 1, b"")) == [self.frame] * 2
         assert not framer.in_step
@@ -261,7 +261,7 @@ class TestWhateverComes:
         transaction=st.integers(0, 65535),
         sizes=cuts,
     )
-    def test_frames_are_the_same_after_the_line(
+    def test_a_frame_is_the_same_after_encoding_and_decoding(
         self,
         make: Callable[[], AnyFramer],
         unit: int,
@@ -313,7 +313,7 @@ class TestWhateverComes:
         # At most 3 us a byte, and 4 us a call; the rest is for slow and busy machines.
         assert time.process_time() - began < 1 + 40e-6 * len(flood) / size
 
-    def test_errors_are_left_out_in_one_row_only(self) -> None:
+    def test_a_row_of_more_than_eight_errors_is_shortened(self) -> None:
         bad, good = b":1103006B00037F\r\n", b":1103006B00037E\r\n"
         results = AsciiFramer().scan(bad * 3 + good + bad * 20 + good + bad)
         assert [type(result) for result in results] == [

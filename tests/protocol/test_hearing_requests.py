@@ -66,7 +66,7 @@ AROUND = {
 
 @each_case("size", [1, 3, 7, 64, 999])
 @each_case("name", AROUND)
-def test_nothing_within_a_frame_of_others_is_a_request(name: str, size: int) -> None:
+def test_no_part_of_a_frame_of_others_is_a_request(name: str, size: int) -> None:
     ask, answer = AROUND[name]
     for bursts in ((ask, answer), (ask + answer,), (answer,), (ask, answer, ask, answer)):
         results = heard(*bursts, size=size)
@@ -91,7 +91,7 @@ def test_a_frame_without_a_length_ends_with_silence_and_not_where_its_crc_fits_f
         assert requests(heard(whole, size=size)) == [Frame(1, whole[1:-2])]
 
 
-def test_a_refusal_of_others_behind_a_request_is_one_frame() -> None:
+def test_a_refusal_to_another_unit_after_a_request_is_one_frame() -> None:
     """Of a function without a class, whose refusal may have any length."""
     others = rtu("02 C1 11 22 33 44")
     for size in (1, 999):
@@ -99,7 +99,7 @@ def test_a_refusal_of_others_behind_a_request_is_one_frame() -> None:
         assert results == [ASKED, OverheardResponse(2, others[1:-2])]
 
 
-def test_where_a_frame_without_a_length_ends_is_not_guessed() -> None:
+def test_the_end_of_a_frame_of_unknown_length_is_not_guessed() -> None:
     """
     The answer to a loopback repeats it. Its data are chosen so that the CRC of both together fits
     in the midst of the answer, right before a write.
@@ -114,7 +114,7 @@ def test_where_a_frame_without_a_length_ends_is_not_guessed() -> None:
     assert requests(heard(both + both, READ)) == [ASKED]
 
 
-def test_an_awaited_answer_may_begin_like_a_shorter_request() -> None:
+def test_an_expected_answer_may_begin_like_a_shorter_request() -> None:
     """Registers of unit 2 are chosen so that its answer begins with a request to unit 2."""
     begin = rtu("02 03 14 00 07 00")
     answer = with_data("", begin, WRITE, bytes(23 - len(begin) - len(WRITE)))
@@ -126,13 +126,13 @@ def test_an_awaited_answer_may_begin_like_a_shorter_request() -> None:
         assert requests(heard(answer, size=size)) == []
 
 
-def test_a_gap_in_an_answer_ends_nothing() -> None:
+def test_a_pause_inside_an_answer_yields_no_request() -> None:
     ask, answer = AROUND["an answer to a read"]
     for cut in range(1, len(answer)):
         assert requests(heard(ask, answer[:cut], answer[cut:])) == [], cut
 
 
-def test_a_request_in_damage_counts_only_close_to_the_silence() -> None:
+def test_a_request_after_damage_counts_only_close_to_the_silence() -> None:
     for noise in (b"\0", b"\xff\xff", b"\1\3", bytes(range(40))):
         assert requests(heard(noise + READ)) == [ASKED], noise
         assert requests(heard(noise + READ + WRITE)) == [ASKED, WRITTEN], noise
@@ -195,7 +195,7 @@ def test_bytes_in_a_damaged_answer_of_others_are_no_request(head: str) -> None:
 @each_case(
     ("burst", "name"),
     [
-        # Of libmodbus's unit tests: 0 registers, and six bytes more than are counted.
+        # From libmodbus's unit tests: 0 registers, and six bytes more than counted.
         (rtu("05 10 0160 0000 00 000000000000"), "request 5 10"),
         (rtu("05 10 0160 0002 08 00010002"), "request 5 10"),
         (rtu("05 0F 0130 0008 02 FF"), "request 5 0F"),
@@ -206,12 +206,12 @@ def test_bytes_in_a_damaged_answer_of_others_are_no_request(head: str) -> None:
         (rtu("02 10 0160 0000 00 000000000000"), "answer 2 10"),
     ],
 )
-def test_a_burst_with_a_right_crc_is_one_frame_of_any_length(burst, name, size) -> None:
+def test_a_burst_with_a_valid_crc_is_one_frame_of_any_length(burst, name, size) -> None:
     assert named(heard(burst, OURS, size=size, unit=5)) == [name, "request 5 03"]
     assert named(heard(burst + OUR_WRITE, OURS, size=size, unit=5))[-1] == "request 5 03"
 
 
-def test_the_beginning_of_a_longer_frame_of_others_is_no_request() -> None:
+def test_the_beginning_of_a_longer_frame_to_others_is_no_request() -> None:
     """Its beginning has a right CRC, by chance."""
     begin = rtu("02 03 14 00 07")
     answer = with_data("", begin, WRITE, bytes(23 - len(begin) - len(WRITE)))
@@ -228,7 +228,7 @@ def test_answers_of_others_are_no_damage(vector: FrameVector) -> None:
     assert len(results) == 1
 
 
-def test_answers_of_others_are_given_by_scan_alone() -> None:
+def test_only_scan_returns_answers_of_others() -> None:
     ask, answer = AROUND["an answer to a read"]
     framer = framer_of(1)
     assert framer.scan(ask + answer) == [Frame(2, ask[1:-2]), OverheardResponse(2, answer[1:-2])]
@@ -241,7 +241,7 @@ def test_a_request_that_is_repeated_to_a_silent_unit_is_not_taken_for_its_answer
     assert requests(heard(ask, ask, READ)) == [ASKED]
 
 
-def test_after_another_request_an_answer_is_awaited_no_more() -> None:
+def test_after_another_request_no_answer_to_the_first_is_expected() -> None:
     """A write and its answer are the same bytes: what was heard before tells which it is."""
     write = rtu("02 06 0001 0003")
     request, answer = Frame(2, write[1:-2]), OverheardResponse(2, write[1:-2])
@@ -309,7 +309,7 @@ def test_our_request_is_found_with_its_last_byte() -> None:
         assert framer.scan(request + OURS[:3]) == [Frame(request[0], request[1:-2])]
 
 
-def test_what_no_frame_can_be_long_enough_for_is_damage() -> None:
+def test_more_bytes_than_the_longest_frame_are_damage() -> None:
     """A frame has 256 bytes at most (serial line, 2.5.1)."""
     framer = framer_of(5)
     assert framer.scan(b"\2\xc1" + bytes(254)) == []

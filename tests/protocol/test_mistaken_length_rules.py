@@ -44,7 +44,7 @@ RULES: dict[str, Callable[[bytes], Any]] = {
 
 @each_case("rule", RULES.values(), ids=RULES)
 @each_case("role", ["server", "client"])
-def test_the_frames_behind_are_found(role: Any, rule: Callable[[bytes], Any]) -> None:
+def test_frames_after_the_wrong_length_are_found(role: Any, rule: Callable[[bytes], Any]) -> None:
     """A server takes a whole burst for a request, which is refused."""
     good = READ if role == "server" else ANSWER
     with registration(rule):
@@ -57,7 +57,7 @@ def test_the_frames_behind_are_found(role: Any, rule: Callable[[bytes], Any]) ->
 
 
 @each_case("rule", RULES.values(), ids=RULES)
-def test_a_request_with_such_a_rule_is_refused(rule: Callable[[bytes], Any]) -> None:
+def test_a_request_whose_length_rule_fails_is_refused(rule: Callable[[bytes], Any]) -> None:
     with registration(rule), pytest.raises(IllegalDataValue):
         pdu.decode_request(OWN[1:-2])
 
@@ -74,7 +74,7 @@ def test_a_mistake_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
 
 
 @pytest.mark.parametrize("kind", ["server", "gateway"])
-def test_servers_and_gateways_on_a_line_continue(lan: Lan, kind: str) -> None:
+def test_servers_and_gateways_on_a_line_continue_after_a_wrong_length_rule(lan: Lan, kind: str):
     device = Device(Mapping(holding_registers={0: [7]}))
     behind = "tcp://10.0.0.2:502" if kind == "gateway" else LINE
     with registration(_fails), Server({1: device}).background(behind):
@@ -94,7 +94,7 @@ def heard(lan: Lan) -> bytes:
     return master.heard
 
 
-def test_a_client_on_a_line_continues(lan: Lan) -> None:
+def test_a_client_on_a_line_continues_after_a_wrong_length_rule(lan: Lan) -> None:
     """The answers to its own class are lost, and nothing else."""
     device = Device(Mapping(holding_registers={0: [7]}))
     with (

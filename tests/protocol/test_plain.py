@@ -56,7 +56,7 @@ from tests.support.cases import each_case
         ),
     ],
 )
-def test_each_value_is_one_that_json_has(value: Any, result: Any) -> None:
+def test_each_value_becomes_a_value_of_json(value: Any, result: Any) -> None:
     assert plain(value) == result
     assert json.loads(json.dumps(plain(value), allow_nan=False)) == result
 
@@ -72,13 +72,13 @@ def test_text_is_in_ascii_and_numbers_are_finite() -> None:
 
 
 @each_case("value", [math.nan, math.inf, [-math.inf]])
-def test_what_json_has_no_number_for_is_refused(value: object) -> None:
+def test_infinite_numbers_and_nan_are_refused(value: object) -> None:
     for encode in (json_text, COMPACT_JSON.encode, SORTED_JSON.encode):
         with pytest.raises(ValueError, match="not JSON compliant"):
             encode(value)
 
 
-def test_a_name_that_occurs_twice_is_refused() -> None:
+def test_a_repeated_name_is_refused() -> None:
     assert json.loads('{"a": 1, "b": {"a": 2}}', object_pairs_hook=each_once) == {
         "a": 1,
         "b": {"a": 2},
@@ -109,7 +109,7 @@ def test_times_are_iso_8601_in_utc(berlin: None, seconds: float, text: str) -> N
 
 
 @each_case("seconds", [-1e11, 253_402_300_800.0, 18_446_744_073_709.551, 1e300])
-def test_a_time_that_no_calendar_has_is_shown_in_seconds(seconds: float) -> None:
+def test_a_time_outside_the_calendar_is_shown_in_seconds(seconds: float) -> None:
     """A capture holds any time of 64 bits."""
     assert time_text(seconds) == clock_text(seconds) == f"{seconds:.3f}s"
 
@@ -157,7 +157,7 @@ def test_a_value_is_shown_as_its_shortest_text(kind: str, value: Any, text: str)
         ("unix32", "2026-07-01T12:00:00Z", datetime(2026, 7, 1, 12, tzinfo=UTC)),
     ],
 )
-def test_a_value_is_typed_as_it_is_shown(kind: str, text: str, value: Any) -> None:
+def test_a_value_can_be_typed_as_it_is_shown(kind: str, text: str, value: Any) -> None:
     assert value_of(text, value_type(kind)) == value
 
 
@@ -170,7 +170,7 @@ OTHERS = {
 }
 
 
-def test_no_other_file_formats_times() -> None:
+def test_only_this_module_formats_times() -> None:
     forms = re.compile(r"strftime\(|\.isoformat\(|fromtimestamp\(")
     files = {
         str(path.relative_to(PACKAGE))

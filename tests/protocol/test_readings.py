@@ -32,7 +32,7 @@ DIGITS = {
 class TestReadings:
     @settings(max_examples=40)
     @given(st.lists(cell, min_size=1, max_size=6))
-    def test_every_distinct_value_stands_once(self, registers: list[int]) -> None:
+    def test_readings_have_no_duplicates(self, registers: list[int]) -> None:
         orders: dict[tuple[str, str], str] = {}
         for name in [*NUMBERS, "int48", "uint48", f"string:{2 * len(registers)}"]:
             for order in ("ABCD", "CDAB", "BADC", "DCBA", *WIDE_ORDERS):
@@ -67,7 +67,7 @@ class TestReadings:
         assert "-0.0" in texts
 
     @each_case("count", [5, 6, 8, 124, 125])
-    def test_other_counts_can_only_be_text(self, count: int) -> None:
+    def test_other_register_counts_can_only_be_text(self, count: int) -> None:
         name = f"string:{2 * count}"
         assert readings([0x4142] * count) == [
             (name, "ABCD", "AB" * count),
@@ -77,7 +77,7 @@ class TestReadings:
         assert readings([0] * count) == [(name, "ABCD", "")]
 
     @pytest.mark.parametrize("count", [0, 126, 1000])
-    def test_registers_are_1_to_125(self, count: int) -> None:
+    def test_the_number_of_registers_is_1_to_125(self, count: int) -> None:
         with pytest.raises(
             ValueError, match=rf"the number of registers must be in 1\.\.125, not {count}"
         ):
@@ -92,7 +92,7 @@ class TestParseReference:
         assert reference.table == TABLES[vector.table]
         assert reference.address == vector.address
 
-    def test_worked_examples_cover_every_table(self) -> None:
+    def test_worked_examples_of_references_cover_every_table(self) -> None:
         assert {vector.table for vector in REFERENCES} == set(TABLES)
 
     @each_case("digit", ["0", "1", "3", "4"])
@@ -103,7 +103,7 @@ class TestParseReference:
         assert parse_reference(f"{digit}00001") == (table, 0)
         assert parse_reference(f"{digit}65536") == (table, 65535)
 
-    def test_file_records_count_from_0(self) -> None:
+    def test_references_to_file_records_count_from_0(self) -> None:
         assert parse_reference("60000") == ("file", 0)
         assert parse_reference("600000") == ("file", 0)
         assert parse_reference("69999") == ("file", 9999)
@@ -140,19 +140,19 @@ class TestParseReference:
             "\uff140001",
         ],
     )
-    def test_anything_else_is_refused_and_named(self, bad: str) -> None:
+    def test_other_texts_are_refused_as_references_and_named(self, bad: str) -> None:
         with pytest.raises(ValueError, match="reference") as caught:
             parse_reference(bad)
         assert repr(bad) in str(caught.value)
 
     @each_case("bad", [40123, 123, 4.0, None, b"40123", True, ["40123"]])
-    def test_only_text_is_a_reference(self, bad: Any) -> None:
+    def test_a_reference_must_be_text(self, bad: Any) -> None:
         with pytest.raises(TypeError, match="must be a string"):
             parse_reference(bad)
 
     @settings(max_examples=75)
     @given(st.text("0123456789 +-_\u0661", max_size=7))
-    def test_text_is_a_reference_or_a_value_error(self, text: str) -> None:
+    def test_any_text_is_a_reference_or_a_value_error(self, text: str) -> None:
         try:
             table, address = parse_reference(text)
         except ValueError:

@@ -40,7 +40,7 @@ def test_every_request_is_found(vector: FrameVector) -> None:
 
 
 @each_case("vector", rows([*RESPONSES, *EXCEPTIONS]))
-def test_every_response_is_found_behind_its_request(vector: FrameVector) -> None:
+def test_every_response_is_found_after_its_request(vector: FrameVector) -> None:
     asked = rtu(f"{vector.unit:02X} {vector.function:02X}")
     cutter = RtuCutter("listener")
     cutter._awaited = vector.unit, vector.function
@@ -51,7 +51,7 @@ def test_every_response_is_found_behind_its_request(vector: FrameVector) -> None
     assert may_be(vector.pdu)[1]
 
 
-def test_frames_behind_damage_are_found() -> None:
+def test_frames_after_damage_are_found() -> None:
     damaged = bytes([*ASK[:-1], ASK[-1] ^ 1])
     expected = [("request", ASK), ("damage", damaged), ("response", ANSWER), ("request", ASK)]
     # A longer frame may begin within the damage, until silence follows.
@@ -74,22 +74,22 @@ def test_a_write_and_its_response_are_equal() -> None:
         assert [kind for kind, _ in heard(*pieces)] == ["request", "response", "request"]
 
 
-def test_an_awaited_response_is_waited_for() -> None:
+def test_an_expected_response_is_waited_for() -> None:
     """Its first bytes are, by chance, a whole request; only the rest shows what it is."""
     longer = rtu("01 03 08 00 07 00" + rtu("01 03 08 00 07 00")[-2:].hex() + "AA BB CC")
     assert heard(ASK, longer[:8], longer[8:]) == [("request", ASK), ("response", longer)]
-    # Without its request it is taken for the shorter one.
+    # Without its request, the response is taken for the shorter frame.
     assert heard(longer[:8]) == [("request", longer[:8])]
 
 
 @each_case("frame", [ASK, ANSWER, rtu("01 03 02 00 07"), rtu("01 83 02")])
-def test_a_damaged_front_does_not_hide_the_frame_behind_a_silence(frame: bytes) -> None:
+def test_damage_does_not_hide_the_frame_after_a_silence(frame: bytes) -> None:
     damage, found = heard(CLAIM, SILENCE, frame, SILENCE)
     assert damage == ("damage", CLAIM)
     assert found[1] == frame
 
 
-def test_a_damaged_front_is_given_up_in_silence_if_frames_follow_to_the_end() -> None:
+def test_damage_is_dropped_in_silence_if_frames_follow_to_the_end() -> None:
     assert heard(CLAIM + ASK + ANSWER) == []
     assert heard(CLAIM + ASK + ANSWER, SILENCE) == [
         ("damage", CLAIM),
@@ -100,7 +100,7 @@ def test_a_damaged_front_is_given_up_in_silence_if_frames_follow_to_the_end() ->
 
 
 def test_a_frame_without_a_length_ends_where_its_crc_fits_and_frames_follow() -> None:
-    assert heard(UNKNOWN + ASK) == []  # what follows may belong to it
+    assert heard(UNKNOWN + ASK) == []  # later bytes may belong to the frame
     assert heard(UNKNOWN + ASK, SILENCE) == [("request", UNKNOWN), ("request", ASK)]
     assert heard(UNKNOWN, SILENCE) == [("request", UNKNOWN)]
 
@@ -126,7 +126,7 @@ LONG = rtu(SHORT.hex() + "01 02")
 @each_case("size", [1, 3, 999])
 @each_case("role", ["client", "listener"])
 @each_case("frames", [[SHORT], [LONG], [SHORT, LONG], [LONG, SHORT], [SHORT, SHORT]])
-def test_frames_with_the_same_beginning_are_distinguished(frames, role, size) -> None:
+def test_frames_with_a_common_beginning_are_told_apart_by_what_follows(frames, role, size) -> None:
     cutter, rest = RtuCutter(role), b""
     burst = b"".join(frames)
     for at in range(0, len(burst), size):
@@ -144,7 +144,7 @@ def test_ambiguous_reads_and_answers_are_distinguished_by_their_order() -> None:
         assert heard(*pieces, SILENCE) == [("request", ask), ("response", answer)] * 3
 
 
-def test_what_is_left_is_given_up_only_when_nothing_will_complete_it() -> None:
+def test_remaining_bytes_are_dropped_only_when_nothing_can_complete_a_frame() -> None:
     assert heard(ASK[:5], SILENCE) == []
     assert heard(ASK[:5], SILENCE, ASK[5:]) == [("request", ASK)]
     assert heard(ASK[:5], LONG_SILENCE, ASK) == [("damage", ASK[:5]), ("request", ASK)]

@@ -49,7 +49,7 @@ def own_class() -> Iterator[int]:
 
 
 class TestRtu:
-    def test_role_says_which_length_rule_holds(self) -> None:
+    def test_the_role_selects_the_length_rule(self) -> None:
         """A response of function 3 with two bytes less than a request, and one with more."""
         for values in (b"\0\1", b"\0\1\0\2\0\3"):
             response = rtu(17, bytes([3, len(values)]) + values)
@@ -62,13 +62,13 @@ class TestRtu:
         assert take(RtuFramer("client"), request)[0] == []
 
     @each_case("code", [0x81, 0x83, 0x97, 0xAB, 0xE5])
-    def test_client_takes_exceptions_of_any_function(self, code: int) -> None:
+    def test_a_client_accepts_exceptions_of_any_function(self, code: int) -> None:
         framer = RtuFramer("client")
         response = rtu(17, bytes([code, 2]))
         assert take(framer, response * 2) == ([Frame(17, bytes([code, 2]))] * 2, [])
 
     @each_case("tail", ["0e 02", "02 0e", "0d 01", "01 0d"])
-    def test_client_takes_an_exception_with_a_mei_type(self, tail: str) -> None:
+    def test_a_client_accepts_an_exception_with_a_mei_type(self, tail: str) -> None:
         frame = Frame(17, b"\xab" + bytes.fromhex(tail))
         good = rtu(*frame[:2])
         framer = RtuFramer("client")
@@ -86,7 +86,7 @@ class TestRtu:
         frames, _ = take(framer, rtu(17, body) + rtu(*ANSWER[:2]))
         assert frames + after_silence(framer) == [ANSWER]
 
-    def test_server_takes_no_exceptions(self) -> None:
+    def test_a_server_ignores_exception_responses(self) -> None:
         framer = RtuFramer("server")
         assert take(framer, rtu(17, b"\x83\2") + rtu(*READ[:2])) == ([READ], [])
 
@@ -97,7 +97,7 @@ class TestRtu:
             [("server", READ), ("server", LONGEST), ("client", ANSWER), ("client", REFUSAL)]
         ),
     )
-    def test_good_frame_is_found_behind_garbage(
+    def test_a_good_frame_is_found_after_noise(
         self, garbage: bytes, role_and_frame: tuple[Any, Frame]
     ) -> None:
         role, frame = role_and_frame
@@ -112,7 +112,7 @@ class TestRtu:
 
     @settings(max_examples=50)
     @given(st.binary(min_size=1, max_size=20))
-    def test_garbage_in_front_of_a_frame_is_reported(self, garbage: bytes) -> None:
+    def test_noise_before_a_frame_is_reported(self, garbage: bytes) -> None:
         stream = garbage + rtu(*READ[:2])
         assume(not accidental(stream, len(garbage)))
         framer = RtuFramer("server")
@@ -136,7 +136,7 @@ class TestRtu:
         assert frames == [WRITE]
         assert take(framer, rtu(*WRITE[:2])) == ([WRITE], [])
 
-    def test_bad_crc_is_reported_with_the_silence(self) -> None:
+    def test_a_bad_crc_is_reported_at_the_silence(self) -> None:
         """It may be noise before a request until then."""
         good = rtu(*READ[:2])
         bad = good[:-1] + bytes([good[-1] ^ 1])
@@ -146,7 +146,7 @@ class TestRtu:
             framer.silence()
         assert bad.startswith(caught.value.received)
 
-    def test_frames_before_and_behind_a_bad_one_are_given_before_the_error(self) -> None:
+    def test_frames_around_a_bad_one_are_returned_before_the_error(self) -> None:
         framer = RtuFramer("server")
         good, bad = rtu(*READ[:2]), bytearray(rtu(*WRITE[:2]))
         bad[-1] ^= 0xFF
@@ -156,7 +156,7 @@ class TestRtu:
             framer.feed(b"")
         assert framer.feed(b"") == []
 
-    def test_cut_frame_gives_way_to_the_next_one(self) -> None:
+    def test_an_incomplete_frame_is_dropped_for_the_next_one(self) -> None:
         """A write of which the line lost the end, and whose length swallows the next frame."""
         long = rtu(17, b"\x10\0\0\0\x40\x80" + bytes(128))
         framer = RtuFramer("server")
@@ -166,7 +166,7 @@ class TestRtu:
         assert after_silence(framer) == [READ]
         assert framer.pending == 0
 
-    def test_unfinished_frame_outlives_a_silence(self) -> None:
+    def test_an_incomplete_frame_is_kept_over_a_silence(self) -> None:
         good = rtu(*LONGEST[:2])
         framer = RtuFramer("server")
         for byte in single_bytes(good[:-1]):
@@ -174,14 +174,14 @@ class TestRtu:
             assert framer.silence() == []
         assert framer.feed(good[-1:]) == [LONGEST]
 
-    def test_frame_within_a_frame_is_data(self) -> None:
+    def test_a_request_inside_a_request_is_data(self) -> None:
         inner = rtu(17, b"\x06\x00\x01\x00\x03")
         outer = rtu(17, b"\x10\x00\x00\x00\x06\x0c" + inner + inner[:4])
         framer = RtuFramer("server")
         assert feed_bytes(framer, outer) == [Frame(17, outer[1:-2])]
         assert take(framer, outer + inner) == ([Frame(17, outer[1:-2]), WRITE], [])
 
-    def test_frame_within_a_response_is_data(self) -> None:
+    def test_a_request_inside_a_response_is_data(self) -> None:
         inner = rtu(17, b"\x83\x02")
         outer = rtu(17, b"\x03\x0a" + inner * 2)
         framer = RtuFramer("client")
@@ -195,7 +195,7 @@ class TestRtu:
         ],
     )
     @each_case("role", ["client", "server"])
-    def test_function_without_length_ends_with_its_crc(self, role, head, size) -> None:
+    def test_a_function_without_length_rule_ends_at_its_crc(self, role, head, size) -> None:
         body = head + bytes(at * 11 & 0xFF for at in range(size))
         good = rtu(17, body)
         assert not accidental(good[:-1], 1)
@@ -209,7 +209,7 @@ class TestRtu:
     @each_case("noise", [b"\x00", b"\x11\x03\x00", b"\x11\x41"])
     @each_case("body", [b"\x41\x01\x02", *(head + b"\xa5\x37" for head in ENDLESS)])
     @each_case("role", ["client", "server"])
-    def test_a_function_without_length_ends_with_a_silence(self, role, body, noise) -> None:
+    def test_a_function_without_length_rule_ends_at_a_silence(self, role, body, noise) -> None:
         framer = RtuFramer(role)
         frames = take(framer, noise)[0] + after_silence(framer)
         for _ in range(3):
@@ -217,7 +217,7 @@ class TestRtu:
         assert frames == [Frame(17, body)] * 3
 
     @pytest.mark.parametrize("head", ENDLESS)
-    def test_known_function_without_length_does_not_swallow_the_next(self, head: bytes) -> None:
+    def test_a_damaged_frame_without_length_rule_does_not_contain_the_next(self, head: bytes):
         """Its CRC is lost; what follows after a silence is found all the same."""
         framer = RtuFramer("server")
         frame = bytearray(rtu(17, head + b"\xa5\x37"))
@@ -229,7 +229,7 @@ class TestRtu:
 
     @each_case("sub_function", [1, 4, 10, 11, 20, 21, 65535])
     @each_case("role", ["client", "server"])
-    def test_other_diagnostics_have_their_length(self, role: Any, sub_function: int) -> None:
+    def test_other_diagnostics_have_length_rules(self, role: Any, sub_function: int) -> None:
         head = b"\x11\x08" + sub_function.to_bytes(2, "big")
         early = head[1:] + crc16(head).to_bytes(2, "little")  # a CRC that fits, in the data
         whole = rtu(17, early)
@@ -237,20 +237,20 @@ class TestRtu:
         assert feed_bytes(framer, whole) == [Frame(17, early)]
 
     @pytest.mark.parametrize("role", ["client", "server"])
-    def test_class_of_ones_own_is_read_by_its_rule(self, role: Any, own_class: int) -> None:
-        """A frame with a fitting CRC in its data, which nothing but the rule can tell."""
+    def test_a_registered_class_is_read_by_its_length_rule(self, role: Any, own_class: int) -> None:
+        """A frame with a valid CRC in its data, so that only the rule gives the right end."""
         head = bytes([17, own_class, 4])
         early = head[1:] + crc16(head).to_bytes(2, "little") + b"\1\2"
         whole = rtu(17, early)
         framer = RtuFramer(role)
         assert feed_bytes(framer, whole) == [Frame(17, early)]
         assert take(framer, whole * 2) == ([Frame(17, early)] * 2, [])
-        # And it is found behind garbage, which a code without a rule is not.
+        # And the frame is found after noise, unlike one of a code without a rule.
         results = [*framer.scan(b"\xff\xff\xff" + whole), *framer.scan_silence()]
         assert [result for result in results if isinstance(result, Frame)] == [Frame(17, early)]
         assert any(isinstance(result, FrameError) for result in results)
 
-    def test_rule_in_python_is_asked(self) -> None:
+    def test_a_length_rule_in_python_is_called(self) -> None:
         heads: list[bytes] = []
 
         def rule(head: bytes) -> int | None:
@@ -280,14 +280,14 @@ class TestRtu:
             lambda head: None,
         ],
     )
-    def test_rules_beyond_a_message_find_nothing(self, rule: Any) -> None:
+    def test_a_length_rule_beyond_the_largest_message_finds_no_frame(self, rule: Any) -> None:
         with registration(rule):
             framer = RtuFramer("client")
             frames = take(framer, b"\1\x6d\1" + bytes(300))[0] + after_silence(framer)
             frames += take(framer, rtu(*ANSWER[:2]))[0] + after_silence(framer)
             assert frames == [ANSWER]
 
-    def test_refusal_of_a_class_of_ones_own_is_found(self, own_class: int) -> None:
+    def test_a_refusal_of_a_registered_class_is_found(self, own_class: int) -> None:
         refusal = Frame(17, bytes([own_class | 0x80, 3]))
         framer = RtuFramer("client")
         assert take(framer, rtu(*refusal[:2]) * 2) == ([refusal] * 2, [])
@@ -295,7 +295,7 @@ class TestRtu:
         assert frames + after_silence(framer) == [refusal]
 
     @each_case("count", [32, 124, 125, 126, 0x7FFF])
-    def test_queue_longer_than_a_message_is_no_frame(self, count: int) -> None:
+    def test_a_queue_longer_than_a_message_is_no_frame(self, count: int) -> None:
         size = 2 + 2 * count & 0xFFFF
         head = b"\x18" + size.to_bytes(2, "big") + count.to_bytes(2, "big")
         response = rtu(17, head + bytes(2 * min(count, 150)))
@@ -305,7 +305,7 @@ class TestRtu:
         after_silence(framer)
         assert take(framer, rtu(*ANSWER[:2]))[0] + after_silence(framer) == [ANSWER]
 
-    def test_function_without_length_rule_or_crc_is_given_up(self) -> None:
+    def test_bytes_without_length_rule_or_crc_are_dropped(self) -> None:
         framer = RtuFramer("server")
         frames, errors = take(framer, b"\x11\x41" + bytes(264))
         assert frames == []

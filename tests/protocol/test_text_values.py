@@ -45,7 +45,7 @@ class TestText:
         assert registers[2:] == [0, 0]
         assert decode(registers, "string:8", encoding="utf-16") == "A"
 
-    def test_odd_string_does_not_look_at_the_last_byte(self) -> None:
+    def test_strings_of_odd_length_ignore_the_last_byte(self) -> None:
         assert decode(words("4142 43FF"), "string:3") == "ABC"
         assert decode(words("4241 FF43"), "string:3", order="BADC") == "ABC"
 
@@ -80,7 +80,7 @@ class TestText:
         refused("too_long_texts.txt", lambda case: encode(case[0], case[1], **case[2]))
 
     @each_case("value", [None, 1, b"AB", ["A"], True])
-    def test_text_is_a_string(self, value: Any) -> None:
+    def test_a_text_must_be_a_string(self, value: Any) -> None:
         with pytest.raises(TypeError, match=r"^value must be a string, not "):
             encode(value, "string:4")
 
@@ -106,7 +106,7 @@ class TestText:
     @each_case(
         "encoding", ["Latin-1", "ISO-8859-15", "UTF8", "windows-1252", "Shift_JIS", "us-ascii"]
     )
-    def test_encodings_go_by_all_their_names(self, encoding: str) -> None:
+    def test_encodings_are_accepted_by_all_their_names(self, encoding: str) -> None:
         text = values.value_type("string:4", encoding=encoding)
         assert text.encode("AB") == [0x4142, 0]
 
@@ -119,7 +119,7 @@ class TestText:
         with pytest.raises(ValueError, match=r"^encoding must be ascii, latin-1, .*, not '"):
             values.value_type("string:4", encoding=encoding)
 
-    def test_no_such_encoding_or_padding(self, refused: Refused) -> None:
+    def test_an_unknown_encoding_or_padding_is_refused(self, refused: Refused) -> None:
         refused("wrong_encodings.txt", lambda options: value_type("string:4", **options))
 
     @settings(max_examples=80)
@@ -130,7 +130,7 @@ class TestText:
         st.sampled_from(["\0", " "]),
         st.sampled_from(list(ORDERS)),
     )
-    def test_text_comes_back_whole_or_is_refused(
+    def test_text_decodes_to_what_was_encoded_or_is_refused(
         self, value: str, size: int, encoding: str, padding: str, order: str
     ) -> None:
         options = {"encoding": encoding, "padding": padding, "order": order}
@@ -143,7 +143,7 @@ class TestText:
         assert decode(registers, f"string:{size}", **options) == back
 
 
-def test_a_mac_address_is_text_behind_two_bytes_of_padding() -> None:
+def test_a_mac_address_follows_two_bytes_of_padding() -> None:
     kind = value_type("eui48")
     assert kind.decode([0xABCD, 0x0DD7, 0x4CC6, 0x448E]) == "0D:D7:4C:C6:44:8E"
     for text in ("0D:D7:4C:C6:44:8E", "0d-d7-4c-c6-44-8e"):

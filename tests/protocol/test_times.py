@@ -48,7 +48,7 @@ def test_summer_time_is_an_hour_ahead_of_utc() -> None:
     assert value_type("iec870").decode(cells) == NOON
 
 
-# What is not a time: a bit says so, or a field has no such number.
+# Registers that are no time: a bit says so, or a field is out of range.
 NONE = [
     ("iec870", [26, 7 << 8 | 1, 12 << 8 | 0x80 | 30, 0]),
     ("iec870", [0, 0, 0, 0]),
@@ -67,7 +67,7 @@ NONE = [
 
 
 @each_case(("name", "cells"), NONE)
-def test_registers_that_hold_no_time(name: str, cells: list[int]) -> None:
+def test_registers_that_are_no_time_are_refused(name: str, cells: list[int]) -> None:
     with pytest.raises(ValueError, match=f"hold no {name}: .* is not a time"):
         value_type(name).decode(cells)
 
@@ -84,7 +84,7 @@ WRONG = [
 
 
 @each_case(("name", "value", "message"), WRONG)
-def test_values_that_a_type_cannot_hold(name: str, value: Any, message: str) -> None:
+def test_times_outside_the_range_of_a_type_are_refused(name: str, value: Any, message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         value_type(name).encode(value)
 
@@ -97,7 +97,7 @@ STEPS = {"ms64": 1000, "iec870": 1000}
     st.datetimes(datetime(2000, 1, 1), datetime(2099, 12, 31), timezones=st.just(UTC)),
     st.sampled_from(["ABCD", "CDAB", "BADC", "DCBA"]),
 )
-def test_times_come_back(name: str, time: datetime, order: str) -> None:
+def test_times_decode_to_what_was_encoded(name: str, time: datetime, order: str) -> None:
     step = STEPS.get(name, 1_000_000)
     time_ = time.replace(microsecond=time.microsecond // step * step)
     kind = value_type(name, order=order)
@@ -120,12 +120,12 @@ def utc(*fields: int) -> datetime:
         (utc(2026, 7, 1, 10), utc(2026, 7, 1, 12)),
         (utc(2026, 3, 29, 0, 59, 59), utc(2026, 3, 29, 1, 59, 59)),
         (utc(2026, 3, 29, 1), utc(2026, 3, 29, 3)),
-        # This hour occurs twice, and the first one is meant.
+        # This hour occurs twice, and the first time is meant.
         (utc(2026, 10, 25, 0, 30), utc(2026, 10, 25, 2, 30)),
         (utc(2026, 10, 25, 2), utc(2026, 10, 25, 3)),
     ],
 )
-def test_registers_hold_what_the_clock_on_the_wall_shows(moment: datetime, wall: datetime) -> None:
+def test_registers_contain_the_local_time(moment: datetime, wall: datetime) -> None:
     registers = UNIX.encode(moment)
     assert registers == value_type("unix32").encode(wall)
     assert UNIX.decode(registers) == moment
@@ -139,7 +139,7 @@ def test_an_hour_that_is_left_out_is_no_value() -> None:
 
 
 @each_case("hour", range(24))
-def test_a_type_that_tells_summer_time_has_each_hour_once(hour: int) -> None:
+def test_a_type_with_a_bit_for_summer_time_has_each_hour_once(hour: int) -> None:
     """CP56Time2a (IEC 60870-5-4): the highest bit of the hours says that it is summer time."""
     for day, is_summer in ((24, True), (25, hour < 1), (26, False)):
         moment = utc(2026, 10, day, hour, 30)

@@ -74,7 +74,7 @@ MANUALS: list[tuple[str, str, str, Any]] = [
 
 
 @each_case(("name", "order", "registers", "value"), MANUALS)
-def test_examples_of_manuals_come_back(name: str, order: str, registers: str, value: Any) -> None:
+def test_examples_of_manuals_encode_and_decode(name: str, order: str, registers: str, value: Any):
     kind = value_type(name, order=order)
     assert kind.decode(words(registers)) == value
     assert kind.encode(value) == words(registers)
@@ -99,7 +99,7 @@ def test_several_encodings_decode_to_the_same_value(name, order, registers, valu
     assert value_type(name, order=order).decode(words(registers)) == value
 
 
-def test_registers_that_hold_no_value(refused: Refused) -> None:
+def test_registers_without_a_valid_value_are_refused(refused: Refused) -> None:
     refused("no_values.txt", lambda case: value_type(case[0]).decode(words(case[1])))
 
 
@@ -128,7 +128,7 @@ INTEGERS = [name for name, kind in TYPES.items() if kind.limits and "float" not 
 
 
 @given(st.data(), st.sampled_from(INTEGERS))
-def test_every_integer_comes_back(data: st.DataObject, name: str) -> None:
+def test_every_integer_decodes_to_what_was_encoded(data: st.DataObject, name: str) -> None:
     low, high = map(int, value_type(name).limits or (0, 0))
     orders = ["ABCD", "CDAB", "BADC", "DCBA"]
     orders += WIDE_ORDERS if value_type(name).registers == 4 else ()
@@ -141,6 +141,6 @@ def test_every_integer_comes_back(data: st.DataObject, name: str) -> None:
     ("name", "order"),
     [(name, order) for name in ("uint32", "int48", "string:8", "date96") for order in WIDE_ORDERS],
 )
-def test_the_orders_of_64_bits_are_for_64_bits(name: str, order: str) -> None:
+def test_orders_for_64_bits_are_refused_for_other_widths(name: str, order: str) -> None:
     with pytest.raises(ValueError, match=f"order of {name} must be one of ABCD, CDAB, BADC, DCBA"):
         value_type(name, order=order)

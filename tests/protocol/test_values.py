@@ -116,7 +116,7 @@ class TestKnownEncodings:
         assert same(decode(words(registers), name), value)
 
     @each_case("value", ["7FC0 0000", "FFC0 0000", "7FFF FFFF", "7F80 0001"])
-    def test_every_nan_is_nan(self, value: str) -> None:
+    def test_every_nan_of_a_type_decodes_to_nan(self, value: str) -> None:
         assert math.isnan(decode(words(value), "float32"))
 
     @pytest.mark.parametrize(
@@ -135,7 +135,7 @@ class TestKnownEncodings:
         assert encode(65519.9, "float16") == words("7BFF")
 
     @pytest.mark.parametrize("value", [Fraction(1, 2), Decimal("0.5"), 0.5])
-    def test_any_number_is_a_float(self, value: Any) -> None:
+    def test_any_number_can_be_encoded_as_a_float(self, value: Any) -> None:
         assert encode(value, "float32") == words("3F00 0000")
         assert encode(1, "float32") == words("3F80 0000")
 
@@ -143,7 +143,7 @@ class TestKnownEncodings:
 class TestOrders:
     @each_order
     @each_number
-    def test_bytes_lie_as_the_letters_say(self, name: str, order: str) -> None:
+    def test_bytes_have_the_order_of_the_letters(self, name: str, order: str) -> None:
         kind = value_type(name)
         raw = bytes.fromhex("1234567890123456")[: 2 * kind.registers]  # decimal digits, no nan
         value = decode([int.from_bytes(raw[at : at + 2]) for at in range(0, len(raw), 2)], name)
@@ -187,7 +187,7 @@ class TestOrders:
             ("BA", "string:8", "BADC"),
         ],
     )
-    def test_spellings_of_orders_mean_the_same(self, spelling: str, name: str, order: str) -> None:
+    def test_all_spellings_of_an_order_are_equal(self, spelling: str, name: str, order: str):
         registers = [0x4142, 0x4344, 0x4546, 0x4748][: value_type(name).registers]
         assert decode(registers, name, order=spelling) == decode(registers, name, order=order)
         value = decode(registers, name)
@@ -215,7 +215,7 @@ class TestOrders:
         assert repr(order) in str(e.value)
 
     @each_case("order", [None, 1, b"ABCD", ["ABCD"], True])
-    def test_order_is_a_string(self, order: Any) -> None:
+    def test_an_order_must_be_a_string(self, order: Any) -> None:
         with pytest.raises(TypeError, match="order must be one of ABCD, CDAB, BADC, DCBA"):
             encode(1, "uint32", order=order)
 
@@ -239,7 +239,7 @@ class TestValueType:
             value_type(f"string:{size}")
 
     @each_case("name", [None, 16, int, b"int16", ["int16"]])
-    def test_type_is_a_string(self, name: Any) -> None:
+    def test_a_type_must_be_a_string(self, name: Any) -> None:
         with pytest.raises(TypeError, match="type must be a string"):
             value_type(name)
 
@@ -249,7 +249,7 @@ class TestMany:
     @each_case("name", [*NUMBERS, "string:5"])
     @settings(max_examples=10)
     @given(st.data())
-    def test_values_lie_one_after_the_other(self, name, order: str, data: st.DataObject) -> None:
+    def test_values_follow_one_another(self, name, order: str, data: st.DataObject) -> None:
         given_values = data.draw(st.lists(strategy(name), max_size=5))
         registers = encode_many(given_values, name, order=order)
         assert registers == [
@@ -257,7 +257,7 @@ class TestMany:
         ]
         assert same(decode_many(registers, name, order=order), given_values)
 
-    def test_known_values(self) -> None:
+    def test_values_have_known_registers(self) -> None:
         assert encode_many([1, -1], "int32", order="CDAB") == words("0001 0000 FFFF FFFF")
         assert decode_many(words("4142 4300 4400 0000"), "string:4") == ["ABC", "D"]
         assert encode_many((at for at in (1, 2)), "bcd16") == [1, 2]
@@ -267,11 +267,11 @@ class TestMany:
         assert encode_many([], "float64") == []
         assert decode_many([], "float64") == []
 
-    def test_bad_value_is_named(self, refused: Refused) -> None:
+    def test_a_bad_value_is_named(self, refused: Refused) -> None:
         refused("wrong_values.txt", lambda case: encode_many(*case))
 
     @pytest.mark.parametrize(("name", "takes"), [("int32", 2), ("float64", 4), ("string:5", 3)])
-    def test_registers_end_with_a_value(self, name: str, takes: int) -> None:
+    def test_a_number_of_registers_between_two_values_is_refused(self, name: str, takes: int):
         for count in (1, takes - 1, takes + 1, 2 * takes + 1):
             with pytest.raises(
                 ValueError,
@@ -286,16 +286,16 @@ class TestMany:
             decode_many([0x4142, 0xFFFF], "string:2")
 
 
-def test_names_for_type_checkers_are_all_there_are() -> None:
+def test_type_checkers_know_the_names_of_all_types() -> None:
     others = {*get_args(NumberType), *get_args(BitsType), *get_args(TimeType)}
     texts = {*get_args(get_args(TextType)[0])}
     assert {name for name in texts if not value_type(name).is_text} == {"eui48"}
     assert others | {"eui48"} == set(TYPES)
-    assert sum(len(get_args(item)) for item in get_args(TypeName)) < 70  # errors list all of them
+    assert sum(len(get_args(item)) for item in get_args(TypeName)) < 70  # errors list all types
     assert get_args(Order) == (*ORDERS, *WIDE_ORDERS)
 
 
-def test_sizes_that_type_checkers_do_not_know_have_a_function() -> None:
+def test_strings_of_other_sizes_have_a_function_for_type_checkers() -> None:
     assert value_type(string_type(77)).name == "string:77"
     for size in (0, 251, "77"):
         with pytest.raises((TypeError, ValueError), match=r"size must be .*1\.\.250"):
@@ -316,5 +316,5 @@ def test_limits_are_the_numbers_that_just_fit(name: str) -> None:
 
 
 @each_case("name", [*get_args(BitsType), "string:1"])
-def test_what_is_no_number_has_no_limits(name: str) -> None:
+def test_types_that_are_no_numbers_have_no_limits(name: str) -> None:
     assert value_type(name).limits is None

@@ -91,7 +91,7 @@ def test_clients_take_words_for_tables_types_and_orders() -> None:
                 client.read_value("co", 0, "u16")
 
 
-def test_names_are_those_of_mappings_and_type_checkers() -> None:
+def test_names_of_tables_are_those_of_mappings_and_type_checkers() -> None:
     bits, registers = get_args(Table)[:2], get_args(RegisterTable)
     assert {*bits, *registers} == set(TABLES) == set(get_args(Table))
     assert [name for name, rules in TABLES.items() if rules.is_bits] == list(bits)
@@ -100,7 +100,7 @@ def test_names_are_those_of_mappings_and_type_checkers() -> None:
 
 
 @each_case("name", TABLES)
-def test_reads_take_no_more(name: str) -> None:
+def test_reads_take_only_readable_tables(name: str) -> None:
     rules = TABLES[name]
     request = rules.read(TABLE_SIZE - rules.most_read, rules.most_read)
     assert len(request.encode()) == 5
@@ -114,14 +114,14 @@ def test_reads_take_no_more(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "write"), [("coils", pdu.WriteCoils), ("holding_registers", pdu.WriteRegisters)]
 )
-def test_writes_take_no_more(name: str, write: type[pdu.WriteCoils | pdu.WriteRegisters]) -> None:
+def test_only_writable_tables_work(name: str, write: type[pdu.WriteCoils | pdu.WriteRegisters]):
     most = TABLES[name].most_written
     assert len(write(0, (1,) * most).encode()) <= pdu.MAX_PDU
     with pytest.raises(ValueError, match="values must hold"):
         write(0, (1,) * (most + 1))
 
 
-def test_inputs_are_not_written() -> None:
+def test_inputs_cannot_be_written() -> None:
     assert [name for name, rules in TABLES.items() if not rules.most_written] == [
         "discrete_inputs",
         "input_registers",

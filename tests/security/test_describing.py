@@ -23,7 +23,7 @@ from tests.support.cases import each_case
 BEGIN = datetime(2024, 2, 29, 12, 30, 1, tzinfo=UTC)
 
 
-def test_a_certificate_is_described() -> None:
+def test_a_certificate_is_shown_with_its_names_and_dates() -> None:
     certificate = make("plc 7", certificates.authority(), begin=BEGIN, days=366)
     assert describe(certificate.der) == (
         "'CN=plc 7', issued by 'CN=Test authority', "
@@ -46,7 +46,7 @@ def test_the_fingerprint_is_that_of_openssl(tmp_path: Path) -> None:
 
 
 def named(*values: str) -> bytes:
-    """A certificate with such names, which nobody has to know."""
+    """A certificate with these names."""
     identity = certificates.self_signed()
     name = x509.Name([x509.NameAttribute(NameOID.ORGANIZATION_NAME, value) for value in values])
     builder = x509.CertificateBuilder(
@@ -107,13 +107,13 @@ def test_keys_are_p_256() -> None:
     assert key.curve.name == "secp256r1"
 
 
-def test_a_chain_goes_along() -> None:
+def test_a_file_contains_the_chain_of_its_certificate() -> None:
     below = certificates.client(issuer=certificates.intermediate())
     assert below.pem.count(b"BEGIN CERTIFICATE") == 2
     assert certificates.client().pem.count(b"BEGIN CERTIFICATE") == 1
 
 
-def test_files_are_their_owners_alone_and_never_overwritten(tmp_path: Path) -> None:
+def test_files_are_readable_by_the_owner_only_and_never_overwritten(tmp_path: Path) -> None:
     identities = {"ca": certificates.authority(), "client": certificates.client()}
     paths = write(tmp_path / "new", identities)
     assert [path.name for path in paths["client"]] == ["client.pem", "client-key.pem"]

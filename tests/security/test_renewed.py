@@ -44,7 +44,7 @@ def ca(pki: Pki) -> Path:
     return pki.ca
 
 
-def test_a_value_is_the_former_until_the_file_is_good_again(tmp_path, caplog) -> None:
+def test_a_value_stays_until_its_file_is_valid_again(tmp_path, caplog) -> None:
     path = tmp_path / "number"
     path.write_text("1")
     renewed = RenewedValue(lambda: int(path.read_text()))
@@ -65,7 +65,7 @@ def test_a_value_is_the_former_until_the_file_is_good_again(tmp_path, caplog) ->
     ] * 2  # once for each reason
 
 
-def test_what_is_not_used_any_more_is_not_read(tmp_path: Path) -> None:
+def test_values_without_users_are_not_read_again(tmp_path: Path) -> None:
     path = tmp_path / "password"
     write_secret(path, "secret")
     first, second = SecretFile(path), SecretFile(path)

@@ -31,14 +31,14 @@ def rows() -> list[str]:
     return re.findall(r"^\| (R-.*)$", text, re.MULTILINE)
 
 
-def test_each_number_has_one_row() -> None:
+def test_each_requirement_has_one_row() -> None:
     counts = Counter(
         number for row in rows() for number in re.findall(r"R-(\d+)", row.split(" | ")[0])
     )
     assert counts == Counter(f"{number:02}" for number in range(1, LAST + 1))
 
 
-def test_each_row_says_whether_and_how() -> None:
+def test_each_row_states_whether_and_how_it_is_met() -> None:
     for row in rows():
         _, state, how = (cell.strip() for cell in row.rstrip("|").split("|", 2))
         assert state in ("met", "not met", "users", "servers", "-"), row
@@ -158,7 +158,7 @@ def test_a_whole_record_is_recognized(size: int) -> None:
     [b"", record(3)[:4], record(3)[:5], record(3)[:-1], record(3) + b"\x17", record(3) + record(4)],
     ids=["nothing", "half a header", "a header", "a byte less", "a byte more", "two records"],
 )
-def test_anything_else_is_not_taken_for_one_record(data: bytes) -> None:
+def test_other_bytes_are_not_taken_for_one_record(data: bytes) -> None:
     records = Records()
     assert not records.follow(data)
     assert records.is_midway == is_midway(data)
@@ -172,7 +172,7 @@ def test_bytes_like_a_record_within_another_one_are_no_record() -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_each_piece_says_whether_a_record_is_open(seed: int) -> None:
+def test_each_piece_shows_whether_a_record_is_incomplete(seed: int) -> None:
     chance = random.Random(seed)
     sizes = [chance.choice([0, 1, 2, 5, 9, 260, 700]) for _ in range(60)]
     stream = b"".join(map(record, sizes))

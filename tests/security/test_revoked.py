@@ -49,7 +49,7 @@ def test_a_number_is_revoked_for_its_own_authority_only(tmp_path: Path) -> None:
     assert not RevocationLists(crl(tmp_path / "crl", listed)).any_of([certificates.client().der])
 
 
-def test_a_file_may_have_several_lists_and_ends_with_the_first_of_them(tmp_path: Path) -> None:
+def test_a_file_of_several_lists_expires_with_the_first_of_them(tmp_path: Path) -> None:
     lower = certificates.intermediate()
     one, two = certificates.client(), certificates.client(issuer=lower)
     both = certificates.revocation_list(one, days=20) + certificates.revocation_list(
@@ -82,7 +82,7 @@ def test_a_file_without_a_list_is_named(tmp_path: Path, pki: Pki, files: Files) 
 
 
 @each_case("argument", ["certificate", "trust", "pin"])
-def test_what_would_be_ignored_in_a_file_of_certificates_is_refused(
+def test_other_contents_in_a_file_of_certificates_are_refused(
     tmp_path: Path, pki: Pki, files: Files, argument: str
 ) -> None:
     """Someone who adds a revocation list to the authorities expects it to have an effect."""
@@ -93,7 +93,7 @@ def test_what_would_be_ignored_in_a_file_of_certificates_is_refused(
         Security(**{"certificate": files.cert, "key": files.key, **options, argument: file})
 
 
-def test_a_list_needs_authorities(tmp_path: Path, files: Files) -> None:
+def test_a_revocation_list_needs_authorities(tmp_path: Path, files: Files) -> None:
     listed = saved(tmp_path / "crl", certificates.revocation_list())
     with pytest.raises(ValueError, match=r"^crl needs trust: a pinned certificate is revoked by"):
         Security(files.cert, files.key, pin=files.cert, crl=listed)
@@ -124,7 +124,7 @@ def test_a_mistake_in_a_file_changes_nothing(tmp_path: Path, pki: Pki, what: str
     assert any("No such file" in line for line in reload_all())
 
 
-def test_a_certificate_whose_key_is_not_there_yet_changes_nothing(pki: Pki) -> None:
+def test_a_certificate_without_its_new_key_changes_nothing(pki: Pki) -> None:
     """Whoever renews both writes one first."""
     files = pki.files(certificates.client())
     security = Security(files.cert, files.key, trust=pki.ca)
@@ -134,7 +134,7 @@ def test_a_certificate_whose_key_is_not_there_yet_changes_nothing(pki: Pki) -> N
     assert security.own == certificates.client().der
 
 
-def test_pins_given_once_can_be_read_again(pki: Pki) -> None:
+def test_pins_from_an_iterator_can_be_read_again(pki: Pki) -> None:
     files = pki.files(certificates.client())
     security = Security(files.cert, files.key, pin=iter([files.cert]))
     security.reload()
@@ -145,7 +145,7 @@ def at(monkeypatch: pytest.MonkeyPatch, when: float) -> None:
     monkeypatch.setattr(security_module, "time", SimpleNamespace(time=lambda: when))
 
 
-def test_an_end_that_is_near_is_logged_once_a_day(pki: Pki, monkeypatch, caplog) -> None:
+def test_an_approaching_expiry_is_logged_once_a_day(pki: Pki, monkeypatch, caplog) -> None:
     files = pki.files(certificates.server(days=100))
     security = Security(files.cert, files.key, trust=pki.ca)
     end = certificates.end(certificates.server(days=100).certificate).timestamp()

@@ -27,7 +27,7 @@ def test_the_example_of_the_specification() -> None:
     assert encode_role("Operator") == OPERATOR
 
 
-def test_no_extension_is_no_role() -> None:
+def test_a_certificate_without_the_extension_has_no_role() -> None:
     assert role_of(client()) is None
     assert role_of(certificates.self_signed().der) is None
 
@@ -104,7 +104,7 @@ def test_invalid_certificates_are_refused(data: bytes) -> None:
 
 
 def test_a_version_that_does_not_exist_is_refused() -> None:
-    """The library has an error of its own for it, which is not a ValueError."""
+    """The library raises an error of its own, which is no ValueError."""
     third = bytes.fromhex("A0 03 02 01 02")
     der = client(OPERATOR)
     assert der.count(third) == 1
@@ -114,7 +114,7 @@ def test_a_version_that_does_not_exist_is_refused() -> None:
 
 @settings(max_examples=200)
 @given(st.binary(max_size=300) | st.builds(lambda rest: b"\x0c" + rest, st.binary(max_size=300)))
-def test_any_bytes_are_a_role_or_a_role_error(value: bytes) -> None:
+def test_any_bytes_are_a_valid_role_or_a_role_error(value: bytes) -> None:
     check_role_value(value)
 
 

@@ -49,7 +49,7 @@ NO_CERTIFICATE: list[Callable[[], bytes]] = [
     lambda: certificates.client().pem + pem("CERTIFICATE"),
 ]
 
-# What is in the file of a key, and what is said of it.
+# The content of a key file, and the text of the error.
 NO_KEY: list[tuple[Callable[[], bytes], str]] = [
     (lambda: b"", "no key in PEM format"),
     (lambda: certificates.client().pem, "no key in PEM format"),
@@ -81,7 +81,7 @@ NO_KEY: list[tuple[Callable[[], bytes], str]] = [
         *(("key", content, reason) for content, reason in NO_KEY),
     ],
 )
-def test_a_file_without_a_certificate_or_key_is_named(
+def test_a_file_without_a_certificate_or_without_a_key_is_named(
     pki: Pki, files: Files, argument: str, content: Callable[[], bytes], reason: str
 ) -> None:
     file = pki.ca.parent / "file.pem"
@@ -103,7 +103,7 @@ def test_a_certificate_is_needed(pki: Pki, files: Files) -> None:
         Security(key=files.key, trust=pki.ca)
 
 
-def test_without_a_file_of_its_own_the_key_is_looked_for_in_that_of_the_certificate(
+def test_the_key_is_searched_for_in_the_file_of_the_certificate_by_default(
     tmp_path: Path, pki: Pki, files: Files
 ) -> None:
     with pytest.raises(ValueError, match=r"^key '.*': no key in PEM format; name its file as key$"):
@@ -113,14 +113,14 @@ def test_without_a_file_of_its_own_the_key_is_looked_for_in_that_of_the_certific
     assert Security(both, trust=pki.ca).own == certificates.client().der
 
 
-def test_a_key_that_is_too_short_is_the_certificate_s_fault(pki: Pki) -> None:
+def test_a_short_key_is_reported_as_a_fault_of_the_certificate(pki: Pki) -> None:
     short = pki.files(make("short", key=rsa.generate_private_key(65537, 1024)))
     with pytest.raises(ValueError, match=r"^certificate '.*': ee key too small$"):
         Security(short.cert, short.key, trust=pki.ca)
 
 
 @each_case("argument", ["certificate", "key", "trust", "pin"])
-def test_what_is_no_file_is_named(pki: Pki, files: Files, argument: str) -> None:
+def test_a_path_that_is_no_file_is_named(pki: Pki, files: Files, argument: str) -> None:
     good: dict[str, Any] = {"certificate": files.cert, "key": files.key}
     if argument != "pin":
         good["trust"] = pki.ca
@@ -148,7 +148,7 @@ except ValueError as error:
 """
 
 
-def test_a_file_that_one_may_not_read_is_named(pki: Pki) -> None:
+def test_a_file_without_read_permission_is_named(pki: Pki) -> None:
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
         directory.chmod(0o755)
@@ -190,11 +190,11 @@ def test_an_encrypted_key_needs_its_password(tmp_path: Path, pki: Pki, form: str
 
 
 def test_a_password_is_never_asked_for_at_the_terminal(pki: Pki) -> None:
-    """OpenSSL would, if nobody gave it one."""
+    """OpenSSL would ask if no password was passed."""
     files = pki.files(certificates.client(), b"secret")
     program = (
         "import os, sys; from libmodbus_py import Security\n"
-        "os.open(os.ttyname(0), os.O_RDWR)\n"  # which makes it the session's terminal
+        "os.open(os.ttyname(0), os.O_RDWR)\n"  # opening makes it the terminal of the session
         "try: Security(sys.argv[1], sys.argv[2], trust=sys.argv[3])\n"
         "except ValueError as error: print(error)"
     )
@@ -216,7 +216,7 @@ def test_a_password_is_never_asked_for_at_the_terminal(pki: Pki) -> None:
     assert b"pass phrase" not in output
 
 
-def test_trust_or_pin_but_not_both(pki: Pki, files: Files) -> None:
+def test_trust_and_pin_together_are_refused(pki: Pki, files: Files) -> None:
     for options in ({}, {"trust": pki.ca, "pin": files.cert}):
         with pytest.raises(ValueError, match="either trust, the authorities, or pin"):
             Security(files.cert, files.key, **options)
@@ -235,7 +235,7 @@ def test_pins_are_files_or_hashes(pki: Pki, files: Files) -> None:
     bundle.write_bytes(files.cert.read_bytes() + pki.ca.read_bytes())
     security = Security(files.cert, files.key, pin=bundle)
     assert security.accepts(own)
-    assert not security.accepts(certificates.authority().der)  # it is the chain of the first
+    assert not security.accepts(certificates.authority().der)  # this is the chain of the first
 
 
 def digest(certificate: bytes) -> str:
@@ -273,7 +273,7 @@ def test_a_server_needs_the_certificates_that_it_pins(files: Files) -> None:
         pass
 
 
-def test_server_names_are_looked_at_before_they_are_used(pki: Pki, files: Files) -> None:
+def test_server_names_are_checked_before_they_are_used(pki: Pki, files: Files) -> None:
     for name in ("", ".plc", "a" * 300, "a\0b"):
         with pytest.raises(ValueError, match=r"^server_name must be a name or an address, not "):
             Security(files.cert, files.key, trust=pki.ca, server_name=name)
@@ -290,8 +290,8 @@ def test_server_names_are_looked_at_before_they_are_used(pki: Pki, files: Files)
         Security(files.cert, files.key, trust=pki.ca, server_name=name)
 
 
-def test_files_are_read_once(pki: Pki) -> None:
-    """But for those of a server, which it reads when it begins."""
+def test_each_file_is_read_once(pki: Pki) -> None:
+    """Except files of a server, which it reads again when it begins."""
     files = pki.files(certificates.server())
     security = Security(files.cert, files.key, trust=pki.ca)
     security.check_server()
@@ -304,7 +304,7 @@ def test_files_are_read_once(pki: Pki) -> None:
             tunnel.handshake()
 
 
-def test_its_repr_has_no_secret(pki: Pki) -> None:
+def test_the_repr_contains_no_secret(pki: Pki) -> None:
     files = pki.files(certificates.client(), b"secret")
     text = repr(Security(files.cert, files.key, trust=pki.ca, password="secret"))
     assert text == f"Security({str(files.cert)!r}, trust={str(pki.ca)!r})"

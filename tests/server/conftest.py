@@ -1,4 +1,4 @@
-"""What the tests of servers share."""
+"""Fixtures of the tests of servers."""
 
 from collections.abc import Iterator
 
@@ -10,7 +10,7 @@ from tests.support.events import Events
 
 @pytest.fixture
 def events() -> Events:
-    """What a server records that is given `events.append`."""
+    """The events that a server records with `events.append`."""
     return Events()
 
 

@@ -36,7 +36,7 @@ def values_of(scheme: str, host: str, port: int) -> list[int]:
 
 @SCHEMES
 @ALL
-def test_every_address_answers(kind: str, scheme: str, device: Device) -> None:
+def test_a_server_answers_on_every_address(kind: str, scheme: str, device: Device) -> None:
     with served(Server({UNIT: device}), scheme) as port:
         for host in HOSTS:
             url = f"{scheme}://{host}:{port}"
@@ -45,7 +45,7 @@ def test_every_address_answers(kind: str, scheme: str, device: Device) -> None:
 
 
 @SCHEMES
-def test_every_address_answers_late_and_for_a_gateway(scheme: str, device: Device) -> None:
+def test_late_and_forwarded_answers_come_from_the_asked_address(scheme: str, device: Device):
     late = Server({UNIT: device}, faults={None: [Fault("delay", seconds=0.01)]})
     with late.background("tcp://127.0.0.1:0") as running:
         for serving in (late, Gateway([Route(running.urls[0])])):
@@ -69,7 +69,7 @@ def addresses_of_ipv6() -> list[str]:
 
 @NEEDS_IPV6
 @SCHEMES
-def test_every_address_of_ipv6_answers(scheme: str, device: Device) -> None:
+def test_a_server_answers_on_every_ipv6_address(scheme: str, device: Device) -> None:
     with served(Server({UNIT: device}), scheme, "[::]") as port:
         for host in addresses_of_ipv6():
             assert values_of(scheme, host, port) == [1000, 1001]

@@ -93,7 +93,7 @@ def damaged(frame: bytes) -> bytes:
 @pytest.mark.parametrize(
     "scheme", [item for item, (code, rules) in LINES.items() if code is rtu and not rules.is_serial]
 )
-def test_answers_of_others_in_one_connection_count_no_error(lan: Lan, scheme: str) -> None:
+def test_answers_of_other_units_in_one_connection_count_no_error(lan: Lan, scheme: str) -> None:
     """As a serial device server passes them on that hears its own line."""
     url = place_on(scheme)
     with unit_one(url) as (server, writes), saying(lan, url) as say:
@@ -131,7 +131,7 @@ def test_a_clean_line_with_other_units_counts_no_error(lan: Lan, pause: float) -
 @pytest.mark.parametrize(
     ("scheme", "count"), [*((line, 1) for line in LINES), *((stream, 3) for stream in STREAMS)]
 )
-def test_a_good_frame_that_is_no_request_is_neither_answered_nor_damage(
+def test_a_valid_frame_that_is_no_request_is_neither_answered_nor_counted_as_damage(
     lan: Lan, scheme: str, count: int, is_gateway: bool
 ) -> None:
     """In one piece or in three; with a right CRC it is of another unit, or of no unit."""
@@ -166,8 +166,8 @@ def test_damage_with_a_refused_function_is_counted(lan: Lan, scheme: str, unit: 
         assert server.statistics.bad_frames == 1
 
 
-def test_a_gateway_hears_others_too(lan: Lan) -> None:
-    """It is a unit on a line here."""
+def test_a_gateway_ignores_frames_of_other_units_too(lan: Lan) -> None:
+    """The gateway is a unit on this line."""
     with unit_one(LINE, is_gateway=True) as (gateway, writes):
         master, other = LineEnd(lan.line("/dev/line")), LineEnd(lan.line("/dev/line"))
         for request, answer in TRAFFIC:
@@ -183,7 +183,7 @@ def test_a_gateway_hears_others_too(lan: Lan) -> None:
 
 
 @pytest.mark.parametrize("head", ["08 0000", "2B 0D", "41"])
-def test_a_frame_in_a_request_is_not_written_through_a_gateway(lan: Lan, head: str) -> None:
+def test_a_read_that_contains_a_write_frame_writes_nothing_through_a_gateway(lan: Lan, head: str):
     """Nothing but reads and loopbacks may pass; the units behind are on one line."""
     route = Route("rtu:///dev/line?baudrate=115200&timeout=0.1", read_only=True)
     with (
@@ -203,7 +203,7 @@ def test_a_frame_in_a_request_is_not_written_through_a_gateway(lan: Lan, head: s
 
 
 @each_line
-def test_a_loopback_that_holds_a_write_comes_back_whole(lan: Lan, scheme: str) -> None:
+def test_a_loopback_whose_data_contain_a_write_is_returned_unchanged(lan: Lan, scheme: str) -> None:
     encode, url = LINES[scheme][0], place_on(scheme)
     write = encode("01 06 0001 0003")
     with unit_one(url) as (server, writes), saying(lan, url) as say:
@@ -216,8 +216,8 @@ def test_a_loopback_that_holds_a_write_comes_back_whole(lan: Lan, scheme: str) -
 
 @each_stream
 @pytest.mark.parametrize("is_gateway", [False, True])
-def test_only_the_last_of_the_requests_that_wait_is_answered(lan: Lan, scheme: str, is_gateway):
-    """All came before the server could look: whoever sent another one has given up the first."""
+def test_only_the_last_request_without_a_pause_is_answered(lan: Lan, scheme: str, is_gateway):
+    """All arrived before the server read them: only the last can still be awaited."""
     frame, url = LINES[scheme][0], place_on(scheme)
     requests = [frame(f"01 06 0001 {number:04X}") for number in (5, 6, 7)]
     with unit_one(url, is_gateway=is_gateway) as (_, writes), saying(lan, url) as say:
@@ -226,7 +226,7 @@ def test_only_the_last_of_the_requests_that_wait_is_answered(lan: Lan, scheme: s
 
 
 @each_stream
-def test_a_request_to_another_unit_takes_back_the_answer_that_waits(lan: Lan, scheme: str):
+def test_a_request_to_another_unit_cancels_a_delayed_answer(lan: Lan, scheme: str):
     frame, url = LINES[scheme][0], place_on(scheme)
     mine, other = frame("01 03 0001 0001"), frame("02 03 0000 0001")
     with unit_one(url), saying(lan, url) as say:

@@ -69,7 +69,7 @@ def said(event: AuditEvent) -> dict[str, Any]:
 
 @NEEDS_IPV6
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_an_ipv6_client_has_one_name(transport: str, events: Events) -> None:
+def test_an_ipv6_client_has_one_name_in_all_records(transport: str, events: Events) -> None:
     """In all events, as in URLs: with brackets around the address."""
     names: list[str | None] = []
     server = Server(device(), audit=events.append, trace=lambda each: names.append(each.peer))
@@ -151,7 +151,7 @@ def test_only_what_authorize_does_not_allow_is_recorded_as_refused(transport, ev
         assert plc.read_exception_status() == 1
         with pytest.raises(IllegalFunction):  # the hook refuses it
             plc.read_holding_registers(0, 1)
-        with pytest.raises(IllegalFunction):  # the device has no such function
+        with pytest.raises(IllegalFunction):  # the device lacks this function
             plc.execute(pdu.RawRequest(0x65, b"\0"))
         with pytest.raises(IllegalDataAddress):
             plc.read_fifo_queue(9)
@@ -205,7 +205,7 @@ def test_a_gateway_records_what_its_devices_answered(events: Events) -> None:
     ]
 
 
-def test_the_life_of_a_server_and_of_a_client_with_a_certificate_are_recorded(
+def test_starts_and_ends_of_servers_and_clients_are_recorded(
     tmp_path: Path, pki: Pki, events: Events
 ) -> None:
     operator = certificates.client("Operator")
@@ -227,7 +227,7 @@ def test_the_life_of_a_server_and_of_a_client_with_a_certificate_are_recorded(
             until(lambda: len(events) == 3 and len(events.own) == 2)
 
             def is_refused() -> bool:
-                """Ask again: at first the client may only find that its connection is gone."""
+                """Try again: at first the client may only notice that its connection is closed."""
                 with pytest.raises(ModbusConnectionError):
                     plc.read_holding_registers(0, 1)
                 return len(events) >= 4
@@ -265,7 +265,7 @@ def test_a_peer_from_another_network_is_recorded_once_a_minute(transport, events
 
 
 class Failing:
-    """Takes events unless it fails."""
+    """An audit that records events unless it is told to fail."""
 
     def __init__(self) -> None:
         self.taken: list[AuditEvent] = []
@@ -274,7 +274,7 @@ class Failing:
     def __call__(self, event: AuditEvent) -> None:
         if self.fails:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        if event.peer:  # of no peer are those of the server itself
+        if event.peer:  # events without a peer are those of the server itself
             self.taken.append(event)
 
 
@@ -305,7 +305,7 @@ def test_writes_are_refused_while_a_required_trail_fails(kind, caplog) -> None:
     ]
 
 
-def test_writes_go_on_while_another_trail_fails_and_losses_are_logged(caplog) -> None:
+def test_writes_continue_while_an_optional_trail_fails_and_losses_are_logged(caplog) -> None:
     trail = Failing()
     with asking(Server(device(), audit=trail)) as plc:
         trail.fails = True
@@ -337,7 +337,7 @@ def fill_the_disk(path: Path) -> None:
 
 
 def do_nothing(path: Path) -> None:
-    """A pipe loses its reader in the test."""
+    """In this test a pipe loses its reader instead."""
 
 
 TROUBLES = [
@@ -351,7 +351,7 @@ TROUBLES = [
 
 
 @pytest.mark.parametrize(("trouble", "reason"), TROUBLES)
-def test_no_write_is_carried_out_that_a_required_file_cannot_record(
+def test_a_write_that_a_required_file_cannot_record_is_not_executed(
     trouble, reason, tmp_path, caplog, monkeypatch
 ) -> None:
     monkeypatch.setattr(audit, "ROOM_BYTES", audit.ROOM_BYTES)
@@ -387,7 +387,7 @@ def test_no_write_is_carried_out_that_a_required_file_cannot_record(
     assert [value for value in values if value not in (8, 11)] == [9, 10, 12]
 
 
-def test_what_is_no_function_is_refused() -> None:
+def test_an_audit_that_is_no_function_is_refused() -> None:
     for wrong in (5, "audit.json"):
         with pytest.raises(TypeError, match=r"audit must be a function, not (int|str)"):
             Server(device(), audit=wrong)  # type: ignore[arg-type]
@@ -401,7 +401,7 @@ def lines(path: Path) -> list[Any]:
     return [json.loads(line) for line in path.read_text().splitlines()]
 
 
-def test_a_renamed_file_is_left_when_it_is_opened_again(tmp_path: Path) -> None:
+def test_a_renamed_file_is_reopened_under_its_path(tmp_path: Path) -> None:
     path = tmp_path / "audit.json"
     file = AuditFile(path)
     file(event("one"))
@@ -420,7 +420,7 @@ def test_a_renamed_file_is_left_when_it_is_opened_again(tmp_path: Path) -> None:
     assert [line["result"] for line in lines(tmp_path / "audit.json.1")] == ["one"]
 
 
-def test_a_full_disk_fails(tmp_path: Path) -> None:
+def test_a_full_disk_is_an_error(tmp_path: Path) -> None:
     file = AuditFile("/dev/full")
     with pytest.raises(OSError, match="No space left"):
         file(event())
@@ -429,7 +429,7 @@ def test_a_full_disk_fails(tmp_path: Path) -> None:
         AuditFile(tmp_path / "nowhere" / "audit.json")
 
 
-def test_what_comes_from_a_peer_stays_on_its_line(tmp_path: Path) -> None:
+def test_text_from_a_peer_takes_one_line_in_the_file(tmp_path: Path) -> None:
     path = tmp_path / "audit.json"
     file = AuditFile(path)
     file(event("a\nb\x1b[2J\u2028\ud800"))
@@ -453,7 +453,7 @@ OTHER_FILES = [
 
 
 @each_case("text", OTHER_FILES)
-def test_another_file_is_not_appended_to(tmp_path: Path, text: str) -> None:
+def test_a_file_that_is_no_audit_trail_is_not_appended_to(tmp_path: Path, text: str) -> None:
     path = tmp_path / "file"
     path.write_text(text)
     with pytest.raises(ValueError, match="is not an audit trail"):
@@ -476,7 +476,7 @@ def test_an_audit_trail_is_continued(tmp_path: Path, text: str) -> None:
     assert path.read_text() == f"{text}{event('one').json()}\n{event('two').json()}\n"
 
 
-def test_only_its_owner_reads_a_file(tmp_path: Path) -> None:
+def test_a_file_is_readable_by_its_owner_only(tmp_path: Path) -> None:
     AuditFile(tmp_path / "audit.json").close()
     assert stat.S_IMODE((tmp_path / "audit.json").stat().st_mode) == 0o600
 
@@ -488,7 +488,7 @@ def test_a_named_pipe_without_a_reader_is_refused_at_once(tmp_path: Path) -> Non
         AuditFile(path)
 
 
-def test_a_named_pipe_delays_no_client(tmp_path: Path) -> None:
+def test_a_named_pipe_does_not_delay_clients(tmp_path: Path) -> None:
     """Its reader is slow, and then gone, also when the file is opened again."""
     path = tmp_path / "pipe"
     os.mkfifo(path)

@@ -72,7 +72,7 @@ def left() -> tuple[int, int]:
 
 
 def is_left(counts: tuple[int, int]) -> bool:
-    """Return True if there are no more of them, soon: the system takes a moment to end a thread."""
+    """Return True if there are no more soon: the system takes a moment to end a thread."""
     deadline = time.monotonic() + PATIENCE
     while left() > counts:
         if time.monotonic() > deadline:
@@ -151,13 +151,13 @@ manager.__enter__()
 """
 
 
-def test_a_program_ends_though_a_block_was_never_left() -> None:
+def test_a_program_ends_although_a_block_of_its_server_is_open() -> None:
     command = [sys.executable, "-c", NEVER_LEFT]
     process = subprocess.run(command, capture_output=True, timeout=PATIENCE)
     assert (process.returncode, process.stderr) == (0, b"")
 
 
-def test_the_collector_does_not_wait_for_a_forgotten_server() -> None:
+def test_the_garbage_collector_does_not_wait_for_a_forgotten_server() -> None:
     """The server may wait for a lock, such as a mapping's, that the collector's thread holds."""
     is_blocked, goes_on = threading.Event(), threading.Event()
     results: list[bool] = []
@@ -216,7 +216,7 @@ ENDS = [SystemExit(3), KeyboardInterrupt()]
 
 
 def ending(error: BaseException) -> Server:
-    """Reading register 99 ends it."""
+    """Return a server that ends the program when register 99 is read."""
 
     def hook(access: Access) -> None:
         if access.address == 99:
@@ -238,7 +238,7 @@ ANSWER = adu(bytes.fromhex("03 02 0000"))
 
 @pytest.mark.parametrize("error", ENDS, ids=lambda error: type(error).__name__)
 @pytest.mark.parametrize("scheme", ["tcp", "udp"])
-def test_what_ends_the_program_is_raised_where_the_block_is_left(scheme, error) -> None:
+def test_an_error_that_ends_the_program_is_raised_at_the_end_of_the_block(scheme, error) -> None:
     before = left()
     with raised(error), ending(error).background(*URLS) as running:
         end(running, scheme)
@@ -257,7 +257,7 @@ def end(running: Running, scheme: str) -> None:
 
 @pytest.mark.parametrize("error", ENDS, ids=lambda error: type(error).__name__)
 @pytest.mark.parametrize("scheme", ["tcp", "udp"])
-def test_serve_forever_and_serving_raise_it(scheme: str, error: BaseException) -> None:
+def test_serve_forever_and_serving_raise_program_ends(scheme: str, error: BaseException) -> None:
     def serve_forever(server: Server, on_listening: Callable[[Running], object]) -> None:
         server.serve_forever(*URLS, on_listening=on_listening)
 
@@ -285,7 +285,7 @@ def test_serve_forever_and_serving_raise_it(scheme: str, error: BaseException) -
 
 
 def test_requests_before_the_end_of_the_program_are_answered() -> None:
-    """In the same bytes: it was executed."""
+    """The requests arrive in the same bytes."""
     error = SystemExit(3)
     server = ending(error)
     with raised(error), server.background(*URLS) as running, connect(running.urls[0]) as client:
@@ -294,7 +294,7 @@ def test_requests_before_the_end_of_the_program_are_answered() -> None:
     assert server.statistics.requests >= 1
 
 
-def test_a_hook_may_leave_the_block() -> None:
+def test_a_hook_may_end_the_block() -> None:
     before = left()
     errors: list[BaseException] = []
 

@@ -159,7 +159,7 @@ PLACE = "tls://10.0.0.1:802"
 INTERVAL = 10.0
 
 
-def test_a_closed_endpoint_looks_at_no_certificate_any_more(pki: Pki) -> None:
+def test_a_closed_endpoint_checks_no_certificates(pki: Pki) -> None:
     statistics = ServerStatistics()
 
     async def main() -> None:

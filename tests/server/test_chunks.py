@@ -95,7 +95,7 @@ TABLE_OF = {1: "coils", 5: "coils", 15: "coils", 2: "discrete_inputs", 4: "input
 
 @settings(max_examples=120)
 @given(st.one_of(reads(), single_writes(), writes(), read_writes(), mask_writes))
-def test_holes_are_answered_with_exception_2_and_stay_as_they_are(body: bytes) -> None:
+def test_missing_addresses_are_answered_with_exception_2_and_stay_unchanged(body: bytes) -> None:
     """Other reasons for a refusal take precedence."""
     everything = Device(Mapping(65536, 65536, 65536, 65536))
     devices = [make_device(HOLES), make_device(HOLES, before_write=lambda access: None)]
@@ -145,7 +145,7 @@ def test_the_event_log_has_the_latest_of_many_requests() -> None:
 
 
 def test_all_functions_of_libmodbus_are_answered_in_c(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not by the way around, which would give the same answers."""
+    """Not in Python, which would give the same answers."""
     monkeypatch.delattr(Device, "_respond")
     device = Device(Mapping(65536, 65536, 65536, 65536))
     vectors = [vector for vector in REQUESTS if vector.function in REPLIED]
@@ -195,7 +195,7 @@ LIMITS = {1: 2000, 2: 2000, 3: 125, 4: 125, 15: 1968, 16: 123}
         ],
         *[
             pytest.param(bytes.fromhex(text), False, id=text)
-            for text in (  # a byte count that is not what follows
+            for text in (  # a byte count that does not match the data
                 "0f 0000 0009 01 00",
                 "0f 0000 0008 02 0000",
                 "10 0000 0001 01 0000",
@@ -217,7 +217,7 @@ def test_counts_are_checked_in_c(body, is_good, monkeypatch) -> None:
     assert (end.statistics.requests, end.statistics.refused) == (1, not is_good)
 
 
-def test_nothing_beside_a_table_is_touched_whatever_libmodbus_checks(
+def test_no_byte_beside_a_table_changes(
     compiled: Callable[[str], Path],
 ) -> None:
     """
@@ -233,7 +233,7 @@ def test_nothing_beside_a_table_is_touched_whatever_libmodbus_checks(
     assert process.stdout == f"{65536 * 6 * 11 - executed} refused, {executed} executed\n"
 
 
-def test_more_answers_than_one_call_has_room_for() -> None:
+def test_answers_may_exceed_the_buffer_of_one_call() -> None:
     """A thousand of the longest answers are 259 000 bytes."""
     device = make_device()
     end = End(device, "chunk")

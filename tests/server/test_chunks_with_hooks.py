@@ -111,7 +111,7 @@ Told = list[tuple[str, Access]]
 
 
 def hooked(ranges: dict[str, Any], functions: set[Any], calls: Told) -> Device:
-    """A device whose hooks note what they are told, move what is read, and refuse some."""
+    """A device whose hooks record their accesses, change the values read, and refuse some."""
 
     def hook(name: str) -> Callable[[Access], None]:
         def call(access: Access) -> None:
@@ -142,7 +142,7 @@ def hooked(ranges: dict[str, Any], functions: set[Any], calls: Told) -> Device:
 
 @settings(max_examples=100)
 @given(small_streams(), st.lists(st.integers(0, 4000), max_size=4), hook_places, handled)
-def test_hooks_get_the_same_in_c_and_python(
+def test_hooks_get_the_same_accesses_in_c_and_python(
     stream: bytes, cuts: list[int], ranges: dict[str, Any], functions: set[Any]
 ) -> None:
     ends = []
@@ -159,7 +159,7 @@ def test_hooks_get_the_same_in_c_and_python(
 
 @settings(max_examples=48)
 @given(st.lists(small_bodies(), min_size=1, max_size=12), hook_places, handled)
-def test_hooks_get_the_same_of_single_requests(
+def test_hooks_get_the_same_accesses_of_single_requests(
     requests_: list[bytes], ranges: dict[str, Any], functions: set[Any]
 ) -> None:
     states = []
@@ -195,7 +195,7 @@ def is_wanted(where: Any, access: Access) -> bool:
 
 @settings(max_examples=60)
 @given(small_streams(), hook_places)
-def test_hooks_get_accesses_to_their_places(stream: bytes, ranges: dict[str, Any]) -> None:
+def test_hooks_for_ranges_get_accesses_to_their_ranges(stream: bytes, ranges: dict[str, Any]):
     """Against the same hooks, told of all: none of them changes or refuses anything."""
     calls: list[Told] = []
     for given_places in (ranges, dict.fromkeys(ranges, "all")):
@@ -215,7 +215,7 @@ def test_hooks_get_accesses_to_their_places(stream: bytes, ranges: dict[str, Any
 
 
 def is_answered_in_c(device: Device, body: bytes, monkeypatch: pytest.MonkeyPatch) -> bool:
-    """Both in a chunk and alone."""
+    """Return True if C answers a request, alone and with others."""
     requests: list[bytes] = []
 
     def respond(device: Device, body: bytes, log: Any, caller: Any) -> bytes:
@@ -305,7 +305,7 @@ WRITE_READ = b"\x17" + in_words(100, 1, 300, 1) + b"\2\0\1"
         ),
     ],
 )
-def test_only_what_hooks_and_handlers_want_is_answered_in_python(
+def test_only_requests_with_hooks_or_handlers_are_answered_in_python(
     hooks, in_c, in_python, monkeypatch
 ) -> None:
     device = Device(Mapping(400, 400, 400, 400), **hooks)

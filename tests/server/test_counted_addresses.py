@@ -43,7 +43,7 @@ def test_an_ipv6_address_counts_as_its_64(host: str, network: str) -> None:
     assert host_of(host_and_port(host, 502)) == network
 
 
-async def test_all_addresses_of_a_64_share_an_allowance() -> None:
+async def test_all_addresses_of_a_64_share_a_request_rate() -> None:
     addresses: Addresses[PausedConnection] = Addresses(2.0)
     for last in range(3):
         address = addresses.get(f"2001:db8::{last}")
@@ -69,7 +69,7 @@ def never(_: object) -> Session:
     raise AssertionError("no handshake ends here")
 
 
-async def test_half_open_handshakes_of_one_address_take_no_place_of_another(
+async def test_half_open_handshakes_of_one_address_do_not_displace_those_of_others(
     monkeypatch, pki: Pki
 ) -> None:
     monkeypatch.setattr(tls, "HALF_OPEN", 10)
@@ -98,7 +98,7 @@ async def test_half_open_handshakes_of_one_address_take_no_place_of_another(
     assert (handshakes._count, handshakes._half_open, handshakes._line) == (0, {}, {})
 
 
-def test_handshakes_of_addresses_take_turns(monkeypatch: pytest.MonkeyPatch, pki: Pki) -> None:
+def test_addresses_take_turns_with_their_handshakes(monkeypatch: pytest.MonkeyPatch, pki: Pki):
     stepped: list[str] = []
     monkeypatch.setattr(TlsSession, "take_step", lambda self: stepped.append(self.address))
 

@@ -121,7 +121,7 @@ def test_writes_are_carried_out_once(
 @pytest.mark.parametrize("telling", [READ, REFUSED])
 @pytest.mark.parametrize("way", [0.0005, 0.02, 0.1])
 @pytest.mark.parametrize("count", [1, 3])
-def test_an_echo_over_tcp_is_found_beside_writes_that_go_round(
+def test_an_echo_over_tcp_is_found_beside_writes_that_are_returned(
     lan: Lan, scheme: str, telling: str, way: float, count: int
 ) -> None:
     frame = FRAMES[scheme]
@@ -148,7 +148,7 @@ def test_an_echo_over_tcp_is_found_beside_writes_that_go_round(
 @pytest.mark.parametrize("baudrate", [1200, 115200])
 @pytest.mark.parametrize("late", [0.0, 0.016])
 @pytest.mark.parametrize("stray", STRAYS)
-def test_a_line_on_which_nothing_was_read_carries_out_writes_once(
+def test_a_line_without_reads_executes_writes_once(
     lan: Lan, scheme, baudrate, late, stray, is_gateway, caplog
 ) -> None:
     """USB adapters keep bytes for up to 16 ms. Nothing was read, which would show the echo."""
@@ -172,7 +172,7 @@ def test_a_line_on_which_nothing_was_read_carries_out_writes_once(
 @pytest.mark.parametrize("is_gateway", [False, True])
 @pytest.mark.parametrize("scheme", FRAMES)
 @pytest.mark.parametrize("request_", WRITES)
-def test_the_same_write_again_at_once_is_carried_out_again(
+def test_an_equal_write_right_after_the_first_is_executed_again(
     lan: Lan, scheme: str, request_: str, is_gateway: bool
 ) -> None:
     frame = FRAMES[scheme]
@@ -208,7 +208,7 @@ def test_an_echo_that_comes_very_late_is_found_by_a_read(lan: Lan, scheme: str) 
         assert len(writes) == 1
 
 
-def test_noise_while_the_line_is_asked_is_no_echo(lan: Lan) -> None:
+def test_noise_while_an_echo_is_searched_for_is_no_echo(lan: Lan) -> None:
     with unit_one(f"rtu://{LINE}") as (server, writes):
         master = LineEnd(lan.line("/dev/line"))
         write = rtu(WRITES[1])
@@ -224,7 +224,7 @@ def test_noise_while_the_line_is_asked_is_no_echo(lan: Lan) -> None:
         assert server.statistics.echoes == 0
 
 
-def test_a_server_that_is_closed_while_it_asks_the_line(lan: Lan) -> None:
+def test_a_server_can_be_closed_while_it_searches_for_an_echo(lan: Lan) -> None:
     with unit_one(f"rtu://{LINE}") as (_, writes):
         master = LineEnd(lan.line("/dev/line"))
         for _ in range(2):
@@ -236,7 +236,7 @@ def test_a_server_that_is_closed_while_it_asks_the_line(lan: Lan) -> None:
 
 
 @pytest.mark.parametrize("scheme", FRAMES)
-def test_an_echo_over_tcp_that_is_set(lan: Lan, scheme, caplog) -> None:
+def test_a_server_over_tcp_with_the_option_echo_ignores_its_answers(lan: Lan, scheme, caplog):
     frame = FRAMES[scheme]
     with unit_one(f"{scheme}+tcp://{TCP}?echo=1") as (server, writes):
         end = Converter(lan, 0.02)
@@ -248,7 +248,7 @@ def test_an_echo_over_tcp_that_is_set(lan: Lan, scheme, caplog) -> None:
     assert not warnings(caplog)
 
 
-def test_nothing_is_looked_for_where_it_is_set_that_there_is_no_echo(lan: Lan) -> None:
+def test_no_echo_is_searched_for_with_the_option_set_to_0(lan: Lan) -> None:
     for url in (f"rtu://{LINE}&echo=0", f"rtu+tcp://{TCP}?echo=0"):
         with unit_one(url) as (server, _):
             Echoing(lan, lan.line("/dev/line"))
@@ -272,7 +272,7 @@ def test_connections_with_an_echo_are_all_counted_and_logged_once(lan: Lan, capl
     assert message.startswith(f"rtu+tcp://{TCP}: what is sent comes back")
 
 
-def test_a_port_that_was_unplugged_is_looked_at_again(lan: Lan) -> None:
+def test_an_echo_is_searched_for_again_after_a_port_was_unplugged(lan: Lan) -> None:
     with unit_one(f"rtu://{LINE}") as (server, writes):
         line = lan.line("/dev/line")
         master = LineEnd(line)
@@ -293,7 +293,7 @@ def test_a_port_that_was_unplugged_is_looked_at_again(lan: Lan) -> None:
 
 
 @pytest.mark.parametrize("scheme", FRAMES)
-def test_an_answer_that_trickles_comes_back_as_it_leaves(lan: Lan, scheme: str) -> None:
+def test_an_echo_of_a_slow_answer_is_recognised(lan: Lan, scheme: str) -> None:
     faults = {1: [Fault("trickle", seconds=0.005)]}
     with unit_one(f"{scheme}://{LINE}&echo=1", faults=faults) as (_, writes):
         Echoing(lan, lan.line("/dev/line"))
@@ -325,7 +325,7 @@ def test_a_request_that_begins_like_the_last_answer_is_answered_after_silence(la
 
 @pytest.mark.parametrize("baudrate", [9600, 115200])
 @pytest.mark.parametrize("is_read_first", [False, True])
-def test_a_terminal_that_echoes(baudrate: int, is_read_first: bool) -> None:
+def test_a_terminal_that_echoes_is_recognised(baudrate: int, is_read_first: bool) -> None:
     """On a real port, where bytes take no time."""
 
     def echo(data: bytes, write: Write) -> None:
@@ -347,7 +347,7 @@ def test_a_terminal_that_echoes(baudrate: int, is_read_first: bool) -> None:
 
 
 @pytest.mark.parametrize("face", [Client, context_at])
-def test_a_client_on_a_terminal_repeats_a_write(face: Any) -> None:
+def test_a_repeated_write_of_a_client_on_a_terminal_is_executed(face: Any) -> None:
     with SerialWire() as wire, unit_one(f"rtu://{wire.server}?baudrate=9600") as (server, writes):
         with face(f"rtu://{wire.client}?baudrate=9600", unit=1, timeout=1.0) as asks:
             for _ in range(20):

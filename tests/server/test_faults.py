@@ -49,7 +49,7 @@ class CountedTwo:
     [(EverySecond(), InvalidResponse), (EverySecond(code=2), IllegalDataAddress)],
     ids=["bytes", "exception"],
 )
-def test_a_fault_of_the_program_happens(fault: EverySecond, error: type[Exception]) -> None:
+def test_an_own_fault_of_a_program_is_applied(fault: EverySecond, error: type[Exception]) -> None:
     server = Server({1: device()}, faults={1: [fault]})
     with (
         server.background("tcp://127.0.0.1:0") as running,
@@ -81,7 +81,7 @@ def test_an_invalid_fault_is_named(faults: Any, text: str) -> None:
     assert isinstance(server.devices, Device)
 
 
-def test_only_the_devices_are_positional() -> None:
+def test_only_the_devices_are_positional_arguments() -> None:
     faults = {1: [Fault("no_answer")]}
     with pytest.raises(TypeError, match="positional"):
         Server(device(), faults)  # type: ignore[call-arg, arg-type]
@@ -91,7 +91,7 @@ def test_only_the_devices_are_positional() -> None:
 
 
 @pytest.mark.parametrize("name", ["devices", "faults"])
-def test_what_replace_changes_cannot_be_set(name: str) -> None:
+def test_attributes_that_replace_changes_are_read_only(name: str) -> None:
     server = Server(device())
     with pytest.raises(AttributeError, match=name):
         setattr(server, name, getattr(server, name))

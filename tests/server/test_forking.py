@@ -121,7 +121,7 @@ print("good")
 """)
 
 
-def test_a_serial_port_stays_as_it_is_and_is_free_when_the_server_ended() -> None:
+def test_a_serial_port_keeps_its_settings_in_a_child_and_is_free_when_the_server_ends() -> None:
     run("""
 def settings():
     port = os.open(wire.server, os.O_RDWR | os.O_NOCTTY)
@@ -181,7 +181,7 @@ print("good")
 """)
 
 
-def test_a_child_may_leave_the_block_and_serve_for_itself() -> None:
+def test_a_child_may_end_the_block_and_start_its_own_server() -> None:
     """It closes what it no longer has, and neither complains nor disturbs its parent."""
     run("""
 with SerialWire() as wire:

@@ -27,7 +27,7 @@ def answer(number: int = 1) -> bytes:
 
 
 @pytest.mark.timeout(60)
-def test_an_illegal_request_does_not_cost_its_neighbours_their_answers(port: int) -> None:
+def test_an_invalid_request_does_not_affect_the_answers_around_it(port: int) -> None:
     """modbus_reply would sleep half a second for each, a minute and a half for all."""
     requests = [READ, b"\x03\x00\x64\x00\x00", READ, b"\x41", READ, b"\x06\x09", READ]
     answers = [READ_ANSWER, b"\x83\x03", READ_ANSWER, b"\xc1\x01", READ_ANSWER, b"\x86\x03"]
@@ -39,7 +39,7 @@ def test_an_illegal_request_does_not_cost_its_neighbours_their_answers(port: int
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])
-def test_a_request_cut_anywhere_is_answered(lan: Lan, scheme: str, device: Device) -> None:
+def test_a_request_split_anywhere_is_answered(lan: Lan, scheme: str, device: Device) -> None:
     framers: dict[str, framing.Framer] = {
         "tcp": framing.TcpFramer(),
         "rtu+tcp": framing.RtuFramer("server"),

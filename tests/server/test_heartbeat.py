@@ -70,7 +70,7 @@ def beat(master: Master, frame: Any, request: str) -> None:
 @pytest.mark.parametrize("scheme", URLS)
 @pytest.mark.parametrize("is_gateway", [False, True])
 @pytest.mark.parametrize("pause", PAUSES)
-def test_each_of_many_equal_writes_is_carried_out(lan: Lan, scheme, is_gateway, pause) -> None:
+def test_each_of_many_equal_writes_is_executed(lan: Lan, scheme, is_gateway, pause) -> None:
     url, frame = URLS[scheme], FRAMES[scheme.partition("+")[0]]
     for check, request in each(HEARTBEATS):
         with check, unit_one(url, is_gateway=is_gateway) as (server, writes):
@@ -85,7 +85,7 @@ def test_each_of_many_equal_writes_is_carried_out(lan: Lan, scheme, is_gateway, 
 
 
 @pytest.mark.parametrize("scheme", URLS)
-def test_a_heartbeat_between_reads(lan: Lan, scheme: str) -> None:
+def test_each_write_of_a_heartbeat_between_reads_is_executed(lan: Lan, scheme: str) -> None:
     """The answer of the first read shows that there is no echo."""
     url, frame = URLS[scheme], FRAMES[scheme.partition("+")[0]]
     with unit_one(url) as (server, writes):
@@ -100,7 +100,7 @@ def test_a_heartbeat_between_reads(lan: Lan, scheme: str) -> None:
 
 @pytest.mark.parametrize("scheme", FRAMES)
 @pytest.mark.parametrize("query", ["silence=0", "silence=0&echo=0", "baudrate=115200"])
-def test_a_heartbeat_on_a_real_port(scheme: str, query: str) -> None:
+def test_each_write_of_a_heartbeat_on_a_real_port_is_executed(scheme: str, query: str) -> None:
     """Without a pause, by a client of this package; bytes take no time there."""
     with (
         SerialWire() as wire,
@@ -114,7 +114,7 @@ def test_a_heartbeat_on_a_real_port(scheme: str, query: str) -> None:
 
 
 @pytest.mark.parametrize("query", ["silence=0", "baudrate=115200"])
-def test_libmodbus_is_the_master(query: str) -> None:
+def test_each_write_of_libmodbus_as_the_master_is_executed(query: str) -> None:
     """Which leaves no pause between an answer and its next request."""
     beats = {
         "write_bit": lambda line: lib.modbus_write_bit(line, 1, 1) == 1,

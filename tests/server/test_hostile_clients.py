@@ -69,7 +69,7 @@ def test_an_invalid_length_closes_the_connection(port: int, length: int) -> None
         assert innocent.read_holding_registers(100, 1) == [1000]
 
 
-def test_a_closed_client_is_not_reset_although_more_had_come(port: int) -> None:
+def test_a_closed_client_gets_no_reset_although_it_had_sent_more(port: int) -> None:
     """A reset could take the answers that were sent before from the client."""
     for _ in range(5):
         with connect(port) as liar:
@@ -79,8 +79,8 @@ def test_a_closed_client_is_not_reset_although_more_had_come(port: int) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])
-def test_random_bytes_change_nothing(lan: Lan, scheme: str, device: Device) -> None:
-    """Whoever is out of step is closed, and comes back with the next bytes."""
+def test_random_bytes_change_no_value(lan: Lan, scheme: str, device: Device) -> None:
+    """A client that sends invalid bytes is closed, and connects again with the next ones."""
     before = contents(device)
     chance = random.Random(1)
     urls = f"{scheme}://10.0.0.1:0", "tcp://10.0.0.1:0"
@@ -158,7 +158,7 @@ def test_a_client_waits_for_few_requests_of_a_flood(lan: Lan, attack, tmp_path) 
         assert innocent.poll(5).turns == [0] * 5
 
 
-def test_a_defect_of_ours_costs_its_connection_and_no_other(lan: Lan, monkeypatch, caplog):
+def test_an_internal_error_ends_one_connection_only(lan: Lan, monkeypatch, caplog):
     receive = ByChunk.receive
 
     def fail_at_noise(session: ByChunk, data: bytes) -> int:

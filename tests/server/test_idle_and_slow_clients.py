@@ -38,7 +38,7 @@ NEVER_ENDED = bytes.fromhex("11 10 0000 007b f6")
 
 @KIND
 @pytest.mark.parametrize("frame_timeout", [0.4, 1000])
-def test_a_trickle_does_not_extend_the_time_of_a_frame(lan: Lan, kind: str, frame_timeout):
+def test_single_bytes_do_not_extend_the_time_of_a_frame(lan: Lan, kind: str, frame_timeout):
     with server_on(lan, kind, frame_timeout=frame_timeout) as server:
         slow, silent = server.connect(), server.connect()
         ask(slow)
@@ -50,11 +50,11 @@ def test_a_trickle_does_not_extend_the_time_of_a_frame(lan: Lan, kind: str, fram
         assert slow.is_closed()
         assert frame_timeout <= lan.now - start <= frame_timeout + min(1, frame_timeout / 4) + 0.01
         assert server.counts(closed_slow=1, connections=1, requests=1)
-        ask(silent)  # who begins nothing has all the time
+        ask(silent)  # a client that has begun no frame has no time limit
 
 
 @KIND
-def test_a_frame_that_begins_where_another_ends_has_its_own_time(lan: Lan, kind: str) -> None:
+def test_a_frame_that_begins_at_the_end_of_another_has_its_own_time(lan: Lan, kind: str) -> None:
     with server_on(lan, kind, frame_timeout=1) as server:
         slow = server.connect()
         request = adu(READ_ONE)
@@ -72,7 +72,7 @@ def test_a_frame_that_begins_where_another_ends_has_its_own_time(lan: Lan, kind:
         assert server.counts(closed_slow=1, connections=0)
 
 
-def test_the_time_of_a_frame_is_not_that_of_the_answer_before(lan: Lan) -> None:
+def test_the_time_of_a_frame_begins_after_the_previous_answer(lan: Lan) -> None:
     """The rest of it has come, but is not read before the answer has gone."""
     with server_on(lan, faults=LATE, frame_timeout=0.2) as server:
         connection = server.connect()
@@ -83,7 +83,7 @@ def test_the_time_of_a_frame_is_not_that_of_the_answer_before(lan: Lan) -> None:
         assert server.counts(closed_slow=0)
 
 
-def test_half_a_frame_behind_a_late_answer_has_its_time_from_then_on(lan: Lan) -> None:
+def test_half_a_frame_after_a_late_answer_has_its_own_time(lan: Lan) -> None:
     with server_on(lan, faults=LATE, frame_timeout=20) as server:
         connection = server.connect()
         connection.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2)[:5])
@@ -129,7 +129,7 @@ def test_idle_clients_stay_connected_without_a_limit(lan: Lan) -> None:
         assert server.counts(connections=2, closed_idle=0, closed_slow=0)
 
 
-def test_clients_whose_frames_silence_completes_are_not_idle(lan: Lan) -> None:
+def test_clients_with_frames_that_end_with_silence_are_not_idle(lan: Lan) -> None:
     with server_on(lan, "plain", "rtu+tcp", idle_timeout=0.8) as server:
         sly, idle = server.connect(), server.connect()
         answer = rtu(ANSWER_ONE)
@@ -142,8 +142,8 @@ def test_clients_whose_frames_silence_completes_are_not_idle(lan: Lan) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", adu(READ_ONE)[:5]], ids=["idle", "slow"])
-def test_clients_of_the_system_are_closed_in_time(data: bytes) -> None:
-    """The real copy of what this file shows in simulated seconds."""
+def test_the_system_closes_unreachable_clients_in_time(data: bytes) -> None:
+    """On the real system, unlike the other tests of this file."""
     limits = Limits(frame_timeout=0.1, idle_timeout=0.2)
     server = Server({17: Device(Mapping(holding_registers=1))}, limits=limits)
     with server.background("tcp://127.0.0.1:0") as running, connect(running.urls[0]) as client:
@@ -171,7 +171,7 @@ def answers(count: int) -> bytes:
 
 @KIND
 @pytest.mark.parametrize("max_unsent", [0, 65_536])
-def test_a_client_that_reads_late_gets_every_answer(lan: Lan, kind: str, max_unsent: int) -> None:
+def test_a_client_that_reads_slowly_gets_every_answer(lan: Lan, kind: str, max_unsent: int) -> None:
     with server_on(lan, kind, max_unsent=max_unsent, frame_timeout=10) as server:
         deaf, other = server.connect(), server.connect()
         deaf.sendall(pipelined(MANY))
@@ -190,7 +190,7 @@ def test_a_client_that_reads_late_gets_every_answer(lan: Lan, kind: str, max_uns
 
 
 @KIND
-def test_a_half_closed_client_gets_every_answer(lan: Lan, kind: str) -> None:
+def test_a_client_that_closed_its_sending_side_gets_every_answer(lan: Lan, kind: str) -> None:
     with server_on(lan, kind) as server:
         deaf = server.connect()
         deaf.sendall(pipelined(MANY))
@@ -202,7 +202,7 @@ def test_a_half_closed_client_gets_every_answer(lan: Lan, kind: str) -> None:
 
 
 @KIND
-def test_the_last_answers_must_be_taken_within_the_time_of_a_frame(lan: Lan, kind: str) -> None:
+def test_the_last_answers_must_be_read_within_the_frame_timeout(lan: Lan, kind: str) -> None:
     """Too few for the limit, but more than the system takes; then nonsense."""
     with server_on(lan, kind, max_unsent=2**30, frame_timeout=20) as server:
         deaf = server.connect()

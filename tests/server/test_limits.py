@@ -58,7 +58,7 @@ def test_an_invalid_limit_is_named(refused: Refused) -> None:
     refused("wrong_limits.txt", lambda limit: Limits(**limit))
 
 
-def test_limits_reach_to_their_ends() -> None:
+def test_limits_accept_the_ends_of_their_ranges() -> None:
     for name, values in ENDS.items():
         for value in values:
             assert getattr(Limits(**{name: value}), name) == value
@@ -72,7 +72,7 @@ def test_limits_reach_to_their_ends() -> None:
         *(("unknown_unit", value) for value in ("ignore", "", None, 1, {}, Device(Mapping()))),
     ],
 )
-def test_a_server_names_what_it_does_not_take(name: str, value: Any) -> None:
+def test_a_server_names_an_argument_that_it_refuses(name: str, value: Any) -> None:
     with pytest.raises((TypeError, ValueError), match=name):
         Server({}, **{name: value})
 
@@ -95,12 +95,12 @@ NETWORKS = [
 ]
 
 
-def test_networks_allow_their_hosts_alone() -> None:
+def test_networks_accept_only_their_hosts() -> None:
     for allow, host, is_allowed in NETWORKS:
         assert Limits(allow=allow).allows(host) is is_allowed, (allow, host)
 
 
-def test_a_copy_of_limits_allows_no_more() -> None:
+def test_a_changed_copy_of_limits_has_the_same_networks() -> None:
     limits = dataclasses.replace(Limits(allow=iter(["192.0.2.7"])), max_connections=5)
     assert limits.allows("192.0.2.7")
     assert not limits.allows("192.0.2.8")
@@ -113,7 +113,7 @@ REFUSED = bytes.fromhex("83 0b")
 @pytest.mark.parametrize("scheme", ["tcp", "udp"])
 @pytest.mark.parametrize("faulty", [False, True])
 @pytest.mark.parametrize(("policy", "answer"), [("refuse", REFUSED), ("silent", None)])
-def test_a_unit_without_a_device(lan: Lan, scheme, faulty, policy, answer) -> None:
+def test_a_unit_without_a_device_gets_the_chosen_answer(lan: Lan, scheme, faulty, policy, answer):
     faults = {None: [NEVER]} if faulty else None
     device = Device(Mapping(holding_registers=1))
     server = Server({17: device}, faults=faults, unknown_unit=policy)
@@ -168,14 +168,14 @@ def ask_system(connection: socket.socket) -> None:
 
 
 def is_closed(connection: socket.socket) -> bool:
-    """Return True if nothing comes any more, because the server has closed."""
+    """Return True if no more bytes come, because the server has closed."""
     try:
         return connection.recv(1) == b""
     except ConnectionResetError:
         return True
 
 
-def test_serve_holds_its_clients_to_its_limits() -> None:
+def test_serve_applies_its_limits_to_clients() -> None:
     options = ["--max-connections", "2", "--frame-timeout", "0.3", "--idle-timeout", "inf"]
     with (
         ServerProcess(*options, "--max-unsent", "0", "--requests-per-second", "1000") as server,
@@ -191,7 +191,7 @@ def test_serve_holds_its_clients_to_its_limits() -> None:
             ask_system(first)
 
 
-def test_serve_takes_options_of_other_kinds() -> None:
+def test_serve_accepts_options_of_other_kinds() -> None:
     networks = ["--allow", "192.0.2.0/24", "--allow", "127.0.0.1"]
     room = ["--max-connections", "1", "--when-full", "refuse"]
     with (
@@ -206,7 +206,7 @@ def test_serve_takes_options_of_other_kinds() -> None:
         ask_system(first)
 
 
-def test_without_descriptors_it_serves_whom_it_has_and_later_the_others() -> None:
+def test_without_descriptors_connected_clients_are_served_and_new_ones_later() -> None:
     with ExitStack() as stack:
         with descriptor_limit(48):
             server = stack.enter_context(ServerProcess("--max-connections", "1000"))
@@ -232,8 +232,8 @@ def has_answer(client: socket.socket) -> bool:
 
 
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM])
-def test_without_descriptors_it_tries_ten_times_a_second(lan: Lan, monkeypatch, number) -> None:
-    """Whoever waits to be accepted would wake it without end."""
+def test_without_descriptors_a_server_accepts_ten_times_a_second(lan: Lan, monkeypatch, number):
+    """Otherwise clients that wait to be accepted would wake the server without end."""
     times: list[float] = []
 
     def fail(listener: MemoryListener) -> None:

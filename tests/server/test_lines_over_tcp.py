@@ -35,7 +35,7 @@ def served(scheme: str, devices: Any = None) -> Iterator[tuple[Server, str]]:
 
 @pytest.mark.parametrize("all_units", [False, True])
 @pytest.mark.parametrize("scheme", FRAMES)
-def test_a_client_mutes_the_device_for_itself_only(scheme: str, all_units: bool) -> None:
+def test_listen_only_mode_applies_to_the_connection_that_asked_for_it(scheme: str, all_units: bool):
     frame = FRAMES[scheme]
     devices = Device(Mapping(holding_registers={0: [7]})) if all_units else None
     with served(scheme, devices) as (server, url), connect(url) as mute, connect(url) as other:
@@ -49,7 +49,7 @@ def test_a_client_mutes_the_device_for_itself_only(scheme: str, all_units: bool)
         ask(mute, frame(RESTART) + frame(READ), frame(ANSWER))
 
 
-def test_broadcasts_of_a_muted_connection_are_not_executed() -> None:
+def test_broadcasts_of_a_connection_in_listen_only_mode_are_not_executed() -> None:
     devices = {unit: Device(Mapping(holding_registers={0: [7]})) for unit in (17, 18)}
     with served("rtu+tcp", devices) as (_, url), connect(url) as mute, connect(url) as other:
         mute.sendall(rtu(LISTEN_ONLY) + rtu(BROADCAST))
@@ -59,7 +59,7 @@ def test_broadcasts_of_a_muted_connection_are_not_executed() -> None:
         ask(other, rtu(READ), rtu("11 03 02 0063"))
 
 
-def test_a_delimiter_is_of_the_connection_that_asked_for_it() -> None:
+def test_a_delimiter_applies_to_the_connection_that_asked_for_it() -> None:
     with served("ascii+tcp") as (_, url), connect(url) as odd, connect(url) as other:
         ask(odd, ascii_frame(SEMICOLON), ascii_frame(SEMICOLON))
         ask(odd, ascii_frame(READ, b"\r;"), ascii_frame(ANSWER, b"\r;"))
@@ -69,7 +69,7 @@ def test_a_delimiter_is_of_the_connection_that_asked_for_it() -> None:
         ask(odd, ascii_frame(READ, b"\r;"), ascii_frame(ANSWER, b"\r;"))
 
 
-def test_counters_are_of_the_line_that_all_connections_share() -> None:
+def test_counters_are_those_of_the_line_for_all_connections() -> None:
     with served("rtu+tcp") as (_, url), connect(url) as first, connect(url) as second:
         ask(first, rtu(READ), rtu(ANSWER))
         ask(second, rtu(MESSAGES), rtu("11 08 000B 0002"))

@@ -135,7 +135,7 @@ TROUBLES: dict[str, tuple[Callable[..., AbstractContextManager[Any]], str]] = {
 
 
 @pytest.mark.parametrize("trouble", TROUBLES)
-def test_trouble_is_a_line_and_then_a_line_a_minute(lan: Lan, pki: Pki, trouble, caplog):
+def test_each_refusal_is_logged_at_once_and_then_once_a_minute(lan: Lan, pki: Pki, trouble, caplog):
     cause, text = TROUBLES[trouble]
     with ExitStack() as stack, caplog.at_level(logging.WARNING):
         stack.enter_context(cause(lan, pki))

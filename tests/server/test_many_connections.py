@@ -90,7 +90,7 @@ def wait_until_accepted(server: ServerProcess, descriptors: int) -> None:
 @pytest.mark.parametrize(
     ("work", "count"), [(churn, CYCLES), (pipeline, REQUESTS)], ids=["cycles", "requests"]
 )
-def test_closed_connections_leave_nothing(work, count, record_property) -> None:
+def test_closed_connections_leave_no_descriptor(work, count, record_property) -> None:
     with ServerProcess() as server:
         work(server.port, count // 4)
         descriptors = server.settled_descriptors()
@@ -125,7 +125,7 @@ def ask_on(server: LanServer, cycles: int) -> None:
 
 @pytest.mark.parametrize("kind", OVER_TCP)
 @pytest.mark.parametrize("work", [come_and_go, ask_on])
-def test_closed_connections_leave_no_byte_in_the_server(lan: Lan, kind, work) -> None:
+def test_closed_connections_leave_no_memory_in_the_server(lan: Lan, kind, work) -> None:
     """A leak of one object in ten cycles shows."""
     package = [tracemalloc.Filter(True, "*/libmodbus_py/*")]
 

@@ -58,7 +58,7 @@ POINTS = RegisterMap([Point("flow", "holding_registers", 3)])
     ids=lambda options: "".join(options) or "plain",
 )
 @pytest.mark.parametrize("unit", [1, 0])
-def test_an_overridden_answer_is_called_in_a_chunk(options: dict[str, Any], unit: int) -> None:
+def test_an_overridden_answer_is_called_for_each_request(options: dict[str, Any], unit: int):
     device = Refusing(Mapping(holding_registers=4), **options)
     requests = [WRITE, WRITE] if "points" in options else [READ_ONE, WRITE, READ_ONE]
     with (
@@ -88,7 +88,7 @@ def test_a_method_that_is_replaced_later_is_called() -> None:
         assert client.read_holding_registers(1, 1) == [7]
 
 
-def test_devices_that_override_answer_behind_a_gateway_and_beside_others() -> None:
+def test_an_overridden_answer_is_called_behind_gateways_and_beside_other_devices() -> None:
     own, plain = (kind(Mapping(holding_registers=4)) for kind in (Refusing, Device))
     server = Server({17: own, 18: plain})
     with server.background("tcp://127.0.0.1:0") as behind:
@@ -100,7 +100,7 @@ def test_devices_that_override_answer_behind_a_gateway_and_beside_others() -> No
     assert plain.mapping.holding_registers[1] == 7
 
 
-def test_a_device_with_an_own_answer_has_no_functions_in_c() -> None:
+def test_a_device_with_an_overridden_answer_is_not_answered_in_c() -> None:
     device = Refusing(Mapping(holding_registers=4))
     assert device.in_c == frozenset()
     assert device.answer_chunk(adu(READ_ONE), 0, 1) == (0, b"", 0, 0)

@@ -23,7 +23,7 @@ both = pytest.mark.parametrize("scheme", ["tcp", "udp"])
 
 
 def holding(value: int, **hooks: Any) -> Device:
-    """A device that can be told from others."""
+    """A device whose register has this value, to tell it from others."""
     return Device(Mapping(holding_registers={0: [value, 0, 0, 0]}), **hooks)
 
 
@@ -58,7 +58,7 @@ REFUSED = b"\x83\x0b"
 
 @both
 @pytest.mark.parametrize("hooks", [{}, {"before_read": lambda access: None}], ids=["c", "python"])
-def test_one_device_is_the_server(scheme: str, hooks: Any) -> None:
+def test_a_single_device_answers_units_0_and_255_too(scheme: str, hooks: Any) -> None:
     device = holding(7, **hooks)
     assert answers(Server(device), scheme, [0, 255, 1, 9]) == [7, 7, 7, 7]
     assert answers(Server({1: device}), scheme, [0, 255, 1, 9]) == [7, 7, 7, REFUSED]
@@ -67,7 +67,7 @@ def test_one_device_is_the_server(scheme: str, hooks: Any) -> None:
 
 
 @both
-def test_of_several_devices_own_unit_names_one(scheme: str) -> None:
+def test_own_unit_selects_one_of_several_devices(scheme: str) -> None:
     devices = {1: holding(7), 2: holding(8)}
     assert answers(Server(devices), scheme, [0, 255, 2]) == [REFUSED, REFUSED, 8]
     assert answers(Server(devices, unknown_unit="silent"), scheme, [0, 255]) == [None, None]
@@ -76,7 +76,7 @@ def test_of_several_devices_own_unit_names_one(scheme: str) -> None:
 
 
 @both
-def test_devices_that_have_these_units_are_asked_themselves(scheme: str) -> None:
+def test_devices_with_the_units_0_and_255_answer_these_units(scheme: str) -> None:
     devices = {0: holding(6), 1: holding(7), 255: holding(9)}
     assert answers(Server(devices), scheme, [0, 255, 1]) == [6, 9, 7]
     assert answers(Server(devices, own_unit=1), scheme, [0, 255]) == [6, 9]
@@ -97,12 +97,12 @@ def test_devices_that_have_these_units_are_asked_themselves(scheme: str) -> None
         (holding(7), 1, ValueError, "one device answers every unit"),
     ],
 )
-def test_invalid_own_units_of_a_server(devices, unit, error, message) -> None:
+def test_invalid_own_units_are_refused(devices, unit, error, message) -> None:
     with pytest.raises(error, match=message):
         Server(devices, own_unit=unit)
 
 
-def test_lines_know_no_such_units() -> None:
+def test_lines_have_no_own_units() -> None:
     """Unit 0 is a broadcast there, and 255 reserved."""
     with (
         Server({1: holding(7)}, own_unit=1).background("rtu+tcp://127.0.0.1:0") as running,
@@ -120,8 +120,8 @@ def test_lines_know_no_such_units() -> None:
     [({1: 6}, [6, 6]), ({255: 5}, [None, 5]), ({1: 6, 255: 5}, [6, 5])],
     ids=str,
 )
-def test_faults_happen_to_whom_the_server_is(scheme: str, faults, codes) -> None:
-    """But for those of the units themselves."""
+def test_faults_of_the_own_unit_apply_to_the_units_0_and_255(scheme: str, faults, codes) -> None:
+    """Except for faults of the units 0 and 255 themselves."""
     faults_of_units = {unit: [Fault("exception", code=code)] for unit, code in faults.items()}
     server = Server({1: holding(7)}, faults=faults_of_units)
     with (
@@ -196,7 +196,7 @@ def test_function_codes_from_128_count_as_messages(scheme: str) -> None:
 READ = b"\3\0\0\0\1"
 
 
-def test_a_fault_that_cannot_happen_leaves_others_their_turn() -> None:
+def test_a_fault_that_does_not_apply_leaves_the_next_one() -> None:
     """Serial lines have no transactions."""
     transaction, answer = Fault("wrong_transaction"), Fault("no_answer")
     for has_transaction, result in ((True, transaction), (False, answer)):
@@ -206,7 +206,7 @@ def test_a_fault_that_cannot_happen_leaves_others_their_turn() -> None:
 
 
 @pytest.mark.parametrize("pdu", [b"\x41\1", b"\x08\0\0\0\7", b"\x07", b"\3"])
-def test_a_fault_everywhere_happens_to_requests_without_an_address(pdu: bytes) -> None:
+def test_a_fault_without_a_table_applies_to_requests_without_an_address(pdu: bytes) -> None:
     everywhere = Faults({1: [Fault("no_answer")]})
     assert everywhere.due(Frame(1, pdu), has_transaction=True) is not None
     in_a_table = Faults({1: [Fault("no_answer", table="coils")]})

@@ -21,7 +21,7 @@ OUT_OF_STEP = bytes.fromhex("0001 0000 ffff 11 03")
 
 @KIND
 @pytest.mark.parametrize("rate", [20, 0.5])
-def test_one_by_one_requests_take_their_time(lan: Lan, kind: str, rate: float) -> None:
+def test_single_requests_are_limited_to_the_rate(lan: Lan, kind: str, rate: float) -> None:
     with server_on(lan, kind, requests_per_second=rate) as server:
         eager, other = server.connect(), server.connect(OTHER)
         at_once = max(1, int(rate))
@@ -62,7 +62,7 @@ def peers_in_memory() -> int:
 
 @KIND
 def test_a_connection_lost_while_it_waits_leaves_nothing(lan: Lan, kind: str) -> None:
-    before = peers_in_memory()  # errors that tests keep may hold some
+    before = peers_in_memory()  # errors that pytest keeps may refer to peers
     with server_on(lan, kind, requests_per_second=0.001) as server:
         for number in range(20):
             eager = server.connect(f"10.3.0.{1 + number}")
@@ -76,7 +76,7 @@ def test_a_connection_lost_while_it_waits_leaves_nothing(lan: Lan, kind: str) ->
 
 
 @KIND
-def test_connections_of_an_address_share_what_it_may_ask(lan: Lan, kind: str) -> None:
+def test_connections_of_an_address_share_its_rate(lan: Lan, kind: str) -> None:
     with server_on(lan, kind, requests_per_second=10) as server:
         eager = [server.connect() for _ in range(8)]
         start = lan.now
@@ -98,7 +98,7 @@ def test_connections_of_an_address_share_what_it_may_ask(lan: Lan, kind: str) ->
 @pytest.mark.parametrize(
     ("count", "rest"), [(1, b""), (2, OUT_OF_STEP)], ids=["one", "two and what ends it"]
 )
-def test_a_new_connection_brings_nothing_new_to_ask(lan: Lan, kind: str, count, rest) -> None:
+def test_a_new_connection_gets_no_new_allowance(lan: Lan, kind: str, count, rest) -> None:
     with server_on(lan, kind, requests_per_second=5) as server:
         start = lan.now
         for _ in range(100):
@@ -111,7 +111,7 @@ def test_a_new_connection_brings_nothing_new_to_ask(lan: Lan, kind: str, count, 
         assert lan.until(lambda: server.statistics.connections == 0)
 
 
-def test_to_be_refused_brings_nothing_new_to_ask_either(lan: Lan) -> None:
+def test_a_refused_connection_gets_no_new_allowance(lan: Lan) -> None:
     limits = {"requests_per_second": 0.5, "max_connections": 1, "when_full": "refuse"}
     with server_on(lan, "plain", **limits) as server:
         with server.connect() as eager:
@@ -128,7 +128,7 @@ def test_to_be_refused_brings_nothing_new_to_ask_either(lan: Lan) -> None:
 
 
 @KIND
-def test_a_connection_that_waits_and_is_closed_does_not_keep_the_others(lan: Lan, kind: str):
+def test_closing_a_waiting_connection_does_not_delay_the_others(lan: Lan, kind: str):
     with server_on(lan, kind, requests_per_second=2) as server:
         first, second = server.connect(), server.connect()
         for _ in range(4):
@@ -143,7 +143,7 @@ def test_a_connection_that_waits_and_is_closed_does_not_keep_the_others(lan: Lan
         assert lan.now - waited <= 0.5
 
 
-def test_frames_that_silence_completes_count_as_requests(lan: Lan) -> None:
+def test_frames_that_end_with_silence_count_as_requests(lan: Lan) -> None:
     with server_on(lan, "plain", "rtu+tcp", requests_per_second=2, idle_timeout=1) as server:
         sly, idle = server.connect(), server.connect()
         start = lan.now
@@ -157,7 +157,7 @@ def test_frames_that_silence_completes_count_as_requests(lan: Lan) -> None:
         assert idle.is_closed()
 
 
-def test_all_of_a_thousand_that_wait_are_answered(lan: Lan) -> None:
+def test_a_thousand_waiting_requests_are_all_answered(lan: Lan) -> None:
     """Each in its turn: none is forgotten, however many there are."""
     limits = {"requests_per_second": 10, "connections_per_address": 1000}
     with server_on(lan, "plain", **limits) as server, ExitStack() as stack:

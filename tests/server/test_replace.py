@@ -42,7 +42,7 @@ def connected(transport: str, server: Server) -> Iterator[Client]:
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_a_connection_sees_other_devices_and_faults_come_and_go(transport: str) -> None:
+def test_a_connection_gets_added_devices_and_faults(transport: str) -> None:
     server = Server({1: holding(1)})
     with connected(transport, server) as client:
         assert client.read_holding_registers(0, 1) == [1]
@@ -84,7 +84,7 @@ def test_an_endpoint_that_is_still_looked_up_opens_with_the_new_devices(monkeypa
         assert client.read_holding_registers(0, 1) == [2]
 
 
-def test_a_server_has_the_devices_and_faults_of_replace() -> None:
+def test_replace_sets_the_devices_and_faults_of_a_server() -> None:
     first, fault = holding(1), Fault("no_answer")
     server = Server(first, faults={None: (fault,)})
     assert server.devices is first
@@ -148,7 +148,7 @@ def test_a_broadcast_goes_to_the_new_devices(lan: Lan) -> None:
 
 
 @pytest.mark.parametrize("transport", ["rtu", "rtu+tcp"])
-def test_notes_about_a_line_stay_with_their_unit(transport: str) -> None:
+def test_counters_and_event_log_stay_with_their_unit(transport: str) -> None:
     server = Server({1: holding(1)})
     with connected(transport, server) as client:
         count = client.diagnostics
@@ -161,7 +161,7 @@ def test_notes_about_a_line_stay_with_their_unit(transport: str) -> None:
 
 
 def test_a_hook_may_replace_the_devices_of_its_server() -> None:
-    """In the middle of a chunk: what is asked behind it sees the new ones, in order."""
+    """In the middle of a chunk: later requests of the chunk use the new devices, in order."""
 
     def swap(_: object) -> None:
         server.replace({1: holding(9)}, faults={1: [Fault("exception", code=6, function=1)]})
@@ -180,7 +180,7 @@ def test_a_hook_may_replace_the_devices_of_its_server() -> None:
                     client.read_coils(0, 1)
 
 
-def test_replaced_again_and_again_while_a_hundred_clients_read(lan: Lan) -> None:
+def test_devices_are_replaced_repeatedly_while_a_hundred_clients_read(lan: Lan) -> None:
     """Nobody is disconnected, or gets anything but an answer of one of the devices."""
     server = Server({1: holding(0)})
     values: set[int] = set()
@@ -243,7 +243,7 @@ def test_replacing_while_a_server_ends_is_harmless() -> None:
     assert server._answering_now == []
 
 
-def test_a_traced_connection_sees_faults_and_is_closed_by_one() -> None:
+def test_a_fault_may_be_added_for_and_close_a_traced_connection() -> None:
     directions: list[str] = []
     server = Server(holding(1), trace=lambda each: directions.append(each.direction))
     with (

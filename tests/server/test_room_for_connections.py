@@ -21,7 +21,7 @@ def test_connections_are_limited_by_free_descriptors() -> None:
 
 
 @KIND
-def test_first_go_those_that_never_asked_then_the_longest_idle(lan: Lan, kind: str) -> None:
+def test_a_full_server_closes_silent_and_then_idle_clients(lan: Lan, kind: str) -> None:
     with server_on(lan, kind, max_connections=3) as server:
         first, second, stranger = (server.connect() for _ in range(3))
         ask(first)
@@ -40,7 +40,7 @@ def test_first_go_those_that_never_asked_then_the_longest_idle(lan: Lan, kind: s
 
 
 @KIND
-def test_a_full_server_can_refuse(lan: Lan, kind: str) -> None:
+def test_a_full_server_may_refuse_new_connections(lan: Lan, kind: str) -> None:
     with server_on(lan, kind, max_connections=2, when_full="refuse") as server:
         first, second = server.connect(), server.connect()
         ask(first)
@@ -73,7 +73,7 @@ def test_connections_left_at_the_end_are_closed(lan: Lan) -> None:
 
 
 @KIND
-def test_an_address_with_too_many_makes_room_among_its_own(lan: Lan, kind: str) -> None:
+def test_an_address_at_its_limit_loses_its_own_oldest_connection(lan: Lan, kind: str) -> None:
     with server_on(lan, kind, max_connections=6, connections_per_address=3) as server:
         others = [server.connect(OTHER) for _ in range(3)]
         ask(others[0])
@@ -95,7 +95,7 @@ def test_an_address_with_too_many_makes_room_among_its_own(lan: Lan, kind: str) 
 
 
 @KIND
-def test_an_address_with_too_many_can_be_refused(lan: Lan, kind: str) -> None:
+def test_an_address_at_its_limit_may_be_refused(lan: Lan, kind: str) -> None:
     with server_on(lan, kind, connections_per_address=2, when_full="refuse") as server:
         first, second = server.connect(), server.connect()
         ask(first)
@@ -112,7 +112,7 @@ def test_an_address_with_too_many_can_be_refused(lan: Lan, kind: str) -> None:
         ask(server.connect())
 
 
-def test_ipv4_within_ipv6_is_the_same_address(lan: Lan) -> None:
+def test_an_ipv4_address_in_ipv6_notation_is_the_same_address(lan: Lan) -> None:
     """As a listener for both families would say it."""
     with server_on(lan, connections_per_address=1, when_full="refuse") as server:
         ask(server.connect("192.0.2.7"))
@@ -123,7 +123,7 @@ def test_ipv4_within_ipv6_is_the_same_address(lan: Lan) -> None:
 
 
 @KIND
-def test_hosts_outside_are_closed_at_once(lan: Lan, kind: str) -> None:
+def test_hosts_outside_the_networks_are_closed_at_once(lan: Lan, kind: str) -> None:
     with server_on(lan, kind, allow=["127.0.0.2", "127.1.0.0/16"]) as server:
         for source in ("127.0.0.1", "127.0.0.3"):
             assert server.refuses(source)
@@ -135,7 +135,7 @@ def test_hosts_outside_are_closed_at_once(lan: Lan, kind: str) -> None:
 
 @NEEDS_IPV6
 @pytest.mark.parametrize(("allow", "is_allowed"), [("::1", True), ("2001:db8::/32", False)])
-def test_only_allowed_hosts_of_ipv6_are_served(allow: str, is_allowed: bool) -> None:
+def test_only_the_listed_ipv6_hosts_are_served(allow: str, is_allowed: bool) -> None:
     server = Server(Device(Mapping(holding_registers=1)), limits=Limits(allow=[allow]))
     with server.background("tcp://[::1]:0") as running, connect(running.urls[0]) as connection:
         if is_allowed:

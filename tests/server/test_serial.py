@@ -42,8 +42,8 @@ NOISES = [b"", b"\0", b"\xff\xff", b"\2\3\x10", b"\2\x10\0\0", b"\xf8\0\x7e\x80"
 
 
 @pytest.mark.parametrize("is_gateway", [False, True])
-def test_requests_between_noise_are_carried_out_once_each(lan: Lan, is_gateway: bool) -> None:
-    """The master sends the next one as soon as it has the answer."""
+def test_requests_between_noise_are_executed_once_each(lan: Lan, is_gateway: bool) -> None:
+    """The master sends the next request as soon as it has the answer."""
     with unit_one("rtu:///dev/line?baudrate=115200", is_gateway=is_gateway) as (server, writes):
         master = LineEnd(lan.line("/dev/line"))
         for number, (behind, before) in enumerate(itertools.product(NOISES, NOISES), 1):
@@ -73,7 +73,7 @@ class OddEnd(LineEnd):
 
 
 @pytest.mark.parametrize("end", [b"\r", b"\n"])
-def test_ascii_frames_that_end_with_one_byte_are_accepted(lan: Lan, end: bytes) -> None:
+def test_ascii_frames_that_end_with_cr_or_lf_alone_are_accepted(lan: Lan, end: bytes) -> None:
     with unit_one("ascii:///dev/line"):
         master = LineEnd(lan.line("/dev/line"))
         master.write(ascii_frame("01 03 0000 0001", end))
@@ -117,7 +117,7 @@ def test_an_unplugged_port_is_opened_again(device: Device, tmp_path, monkeypatch
     [("ascii://{}", 7, False), ("ascii://{}?data_bits=8", 8, False), ("rtu://{}", 8, True)],
 )
 def test_ascii_ports_have_seven_data_bits(device: Device, url, data_bits, is_silent) -> None:
-    """Pseudo-terminals ignore them, so what the port is told is looked at."""
+    """Pseudo-terminals ignore the setting, so the test checks the value passed to the port."""
 
     async def made() -> SerialServer:
         service = Devices(Units(device))
@@ -151,7 +151,7 @@ class Service:
     def close(self) -> None: ...
 
 
-def test_the_latest_answers_wait_and_no_more_than_a_port_keeps() -> None:
+def test_the_latest_answers_wait_up_to_the_size_of_a_port_buffer() -> None:
     service = Service()
 
     async def write_all(path: str, is_over: Callable[[], bool]) -> None:
@@ -175,7 +175,7 @@ SHORT_ANSWERS = [rtu(f"01 03 04 {number:04X} 0000") for number in range(4)]
 
 
 class TimedEnd(LineEnd):
-    """Notes when it hears what."""
+    """A line end that records bytes and the times at which they arrive."""
 
     def __init__(self, lan: Lan, line: Any) -> None:
         super().__init__(line)
@@ -188,7 +188,7 @@ class TimedEnd(LineEnd):
 
 @pytest.mark.parametrize("baudrate", [1200, 9600, 115200])
 @pytest.mark.parametrize("rest", ["", "&rs485=rts-up"])
-def test_a_silence_is_between_two_answers(lan: Lan, baudrate: int, rest: str) -> None:
+def test_an_answer_waits_for_silence_after_the_previous_one(lan: Lan, baudrate: int, rest: str):
     service = Service()
 
     async def begun() -> SerialServer:

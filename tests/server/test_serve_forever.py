@@ -61,7 +61,7 @@ except KeyboardInterrupt:
 
 @contextmanager
 def program(text: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """Run it; give the first URL that it names on stderr, too."""
+    """Run the program; yield the first URL in its log, too."""
     process = subprocess.Popen(
         [sys.executable, "-c", HEAD + text],
         stdout=subprocess.PIPE,
@@ -87,7 +87,7 @@ def read(url: str) -> list[int]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_signals_end_a_server_in_order_whatever_clients_do(number: signal.Signals) -> None:
+def test_signals_end_a_server_in_order_during_requests(number: signal.Signals) -> None:
     with program(PLAIN) as (process, url), socket.socket() as half_way:
         assert process.stderr is not None
         second = process.stderr.readline()
@@ -116,7 +116,7 @@ def test_another_thread_serves_without_signals() -> None:
         assert process.returncode == 0
 
 
-def test_what_on_listening_raises_ends_it() -> None:
+def test_an_exception_of_on_listening_ends_serve_forever() -> None:
     servers: list[Running] = []
 
     def fail(running: Running) -> None:
@@ -155,7 +155,7 @@ def test_servers_refuse_the_options_of_clients(url: str, names: str, way: int) -
         ways(Server(Device(Mapping())), url)[way]()
 
 
-def test_all_ways_log_where_they_listen(caplog: pytest.LogCaptureFixture) -> None:
+def test_all_ways_to_serve_log_their_url(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "libmodbus_py")
     with Server(Device(Mapping())).background("tcp://127.0.0.1:0") as running:
         time.sleep(0)

@@ -19,7 +19,7 @@ from tests.support.names import NEEDS_IPV6
 READ, ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
 
 
-def test_stops_whatever_clients_do(device: Device) -> None:
+def test_a_server_stops_whatever_its_clients_do(device: Device) -> None:
     with Server(device).background("tcp://127.0.0.1:0", "rtu+tcp://127.0.0.1:0") as running:
         clients = [connect(url) for url in running.urls for _ in range(20)]
         for number, client in enumerate(clients):
@@ -64,7 +64,7 @@ def test_devices_must_be_devices(devices: object) -> None:
 
 
 @pytest.mark.parametrize("second", ["127.0.0.2", pytest.param("[::1]", marks=NEEDS_IPV6)])
-def test_a_server_in_asyncio_listens_on_two_addresses(device: Device, second: str) -> None:
+def test_a_server_in_asyncio_listens_on_two_endpoints(device: Device, second: str) -> None:
     async def main() -> bytes:
         async with Server(device).serving("tcp://127.0.0.1:0", f"tcp://{second}:0") as running:
             assert [url.rpartition(":")[0] for url in running.urls] == [
@@ -89,7 +89,7 @@ SERVERS: dict[str, Callable[[str], Any]] = {
 
 
 @pytest.mark.parametrize("kind", SERVERS)
-def test_a_background_that_runs_is_not_entered_again(kind: str) -> None:
+def test_a_running_background_block_cannot_be_entered_again(kind: str) -> None:
     with SERVERS["server"]("") as behind:
         background = SERVERS[kind](behind.urls[0])
         with background as running:
@@ -142,7 +142,7 @@ def counts(before: str) -> list[int]:
     return [int(word) for word in process.stdout.split()]
 
 
-def test_serve_forever_unfreezes_what_it_froze() -> None:
+def test_serve_forever_unfreezes_the_objects_that_it_froze() -> None:
     start, during, after, again, at_last = counts("")
     assert during > 10_000
     assert again > 10_000
@@ -150,8 +150,8 @@ def test_serve_forever_unfreezes_what_it_froze() -> None:
     assert at_last <= start
 
 
-def test_serve_forever_leaves_what_the_program_froze() -> None:
+def test_serve_forever_keeps_the_objects_that_the_program_froze() -> None:
     start, *others = counts("gc.freeze()")
     assert start > 10_000
-    # Some of it may be freed meanwhile.
+    # Some of the objects may be freed meanwhile.
     assert all(start - 500 <= count <= start for count in others)

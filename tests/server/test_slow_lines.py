@@ -25,13 +25,13 @@ LOOPBACK = rtu("01 08 0000" + WRITE.hex() + "0102")
     # 3.5 characters of 11 bits; fixed above 19200 bit/s (serial line, 2.5.1.1).
     [(300, 0.128333), (1200, 0.032083), (9600, 0.00401), (19200, 0.002005), (38400, 0.00175)],
 )
-def test_the_pause_is_that_of_the_specification(baudrate: int, pause: float) -> None:
+def test_the_pause_between_frames_is_that_of_the_specification(baudrate: int, pause: float) -> None:
     assert pause_between_frames(baudrate) == pytest.approx(pause, abs=1e-6)
     endpoint = parse(f"rtu:///dev/line?baudrate={baudrate}")
     assert endpoint.pause == pause_between_frames(baudrate)
 
 
-def test_a_character_may_have_more_bits() -> None:
+def test_the_pause_follows_the_bits_of_a_character() -> None:
     endpoint = parse("rtu:///dev/line?baudrate=1200&stop_bits=2")
     assert endpoint.pause == pytest.approx(3.5 * 12 / 1200)
     assert parse("rtu:///dev/line?baudrate=1200&parity=N").pause == pytest.approx(3.5 * 11 / 1200)
@@ -50,7 +50,7 @@ def test_framers_and_listeners_wait_for_the_pause() -> None:
 
 @pytest.mark.parametrize("is_gateway", [False, True])
 @pytest.mark.parametrize("baudrate", [300, 600, 1200, 9600])
-def test_no_part_of_a_frame_is_carried_out(lan: Lan, baudrate: int, is_gateway: bool) -> None:
+def test_no_part_of_a_frame_is_executed(lan: Lan, baudrate: int, is_gateway: bool) -> None:
     with unit_one(f"rtu:///dev/line?baudrate={baudrate}", is_gateway=is_gateway) as (_, writes):
         lan.line("/dev/line").character = 11 / baudrate
         master = LineEnd(lan.line("/dev/line"))
@@ -78,7 +78,7 @@ def test_a_listener_hears_whole_frames() -> None:
 
 
 @pytest.mark.parametrize("is_async", [False, True])
-def test_a_client_takes_a_slow_answer_whole(lan: Lan, is_async: bool) -> None:
+def test_a_client_receives_a_slow_answer_completely(lan: Lan, is_async: bool) -> None:
     """It is the answer of a unit to a loopback, whose data begin with a CRC that fits."""
     data = rtu("01 08 0000")[-2:] + WRITE
     line = "rtu:///dev/line?baudrate=300"

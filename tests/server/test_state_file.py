@@ -56,7 +56,7 @@ def plant(folder: Path, text: str = PLANT) -> Units:
 
 @pytest.fixture(autouse=True)
 def _only_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the thread write nothing, so that a test says when something is written."""
+    """Let the thread write nothing, so that the test decides when the file is written."""
     monkeypatch.setattr(state_file, "WRITE_EVERY", 1e6)
 
 
@@ -87,7 +87,7 @@ def after_a_write(folder: Path) -> None:
     close(file)
 
 
-def test_only_written_values_are_kept_over_a_restart(folder: Path) -> None:
+def test_only_written_values_are_kept_after_a_restart(folder: Path) -> None:
     after_a_write(folder)
     assert json.loads((folder / "state").read_text()) == {
         "libmodbus-py": "state",
@@ -104,7 +104,7 @@ def test_only_written_values_are_kept_over_a_restart(folder: Path) -> None:
             "2": {"points": {"coils_0": ["coils", 0, 8, None, "ABCD"]}, "coils": {"5": [1]}},
         },
     }
-    # New first values hold where nothing was written.
+    # New initial values apply to values that were not written.
     units = plant(folder, PLANT.replace("value = 7", "value = 6"))
     close(kept(folder, units))
     assert units[1]["setpoint"] == 21.5
@@ -163,7 +163,7 @@ def test_a_slow_write_is_followed_by_a_pause_four_times_as_long(folder: Path, mo
     assert pauses == [0.1, 8, 0.1]
 
 
-def test_the_state_is_written_while_it_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_state_is_written_while_the_server_runs(folder: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(state_file, "WRITE_EVERY", 0.001)
     units = plant(folder)
     file = kept(folder, units)
@@ -173,7 +173,7 @@ def test_the_state_is_written_while_it_runs(folder: Path, monkeypatch: pytest.Mo
     close(file)
 
 
-def test_a_second_program_is_refused(folder: Path) -> None:
+def test_a_second_program_with_the_same_file_is_refused(folder: Path) -> None:
     (folder / "link").symlink_to(folder / "state")
     file = kept(folder, plant(folder))
     for name in ("state", "link"):
@@ -212,7 +212,7 @@ def test_a_forked_child_neither_writes_nor_holds_the_lock(folder: Path) -> None:
         os.close(write)
 
 
-def test_what_a_killed_process_left_is_removed(folder: Path) -> None:
+def test_files_of_a_killed_process_are_removed(folder: Path) -> None:
     (folder / "state.abcd1234.new").write_text("half")
     (folder / "state.mine.new").write_text("another")
     close(kept(folder, plant(folder)))
@@ -261,7 +261,7 @@ def test_a_file_that_cannot_be_written_is_logged_once(
 
 
 @each_case("number", [errno.EACCES, errno.EROFS, errno.ENOSPC])
-def test_a_folder_that_takes_no_files(number, folder: Path, monkeypatch, caplog) -> None:
+def test_a_folder_without_write_permission_is_an_error(number, folder: Path, monkeypatch, caplog):
     caplog.clear()
     (folder / "state").unlink(missing_ok=True)
     (folder / "state.lock").unlink(missing_ok=True)
@@ -299,7 +299,7 @@ def test_the_values_of_a_server_are_kept(folder: Path) -> None:
                 client.write_register(5, 7)
 
 
-def test_a_server_that_serves_again_keeps_what_the_program_set_meanwhile(folder: Path) -> None:
+def test_a_server_that_starts_again_keeps_values_set_in_between(folder: Path) -> None:
     device = registers()
     server = Server(device, state=folder / "state")
     for value in range(3):

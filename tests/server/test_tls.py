@@ -29,13 +29,13 @@ from tests.support.tls import ONE, VERSION, VERSIONS, TlsClient, context, servin
 
 @pytest.fixture
 def roles() -> list[str | None]:
-    """The roles of those who wrote."""
+    """The roles of clients that wrote."""
     return []
 
 
 @pytest.fixture
 def noting(roles: list[str | None]) -> Device:
-    """Notes the roles of those who read and write."""
+    """A device that records the roles of clients that read and write."""
 
     def note(access: Access) -> None:
         roles.append(access.role)
@@ -49,7 +49,7 @@ def served(lan: Lan, pki: Pki, noting: Device, events: Events) -> Iterator[tuple
         yield served
 
 
-def test_an_authority_below_may_have_signed_if_it_is_shown(
+def test_an_intermediate_authority_in_the_chain_is_accepted(
     lan: Lan, served: tuple[Server, int], pki: Pki, roles: list[str | None]
 ) -> None:
     identity = certificates.client("Chief", issuer=certificates.intermediate())
@@ -70,7 +70,7 @@ GCM = "AES128-GCM-SHA256"
         ("ec", "1.3", None, "TLS_AES_256_GCM_SHA384"),
     ],
 )
-def test_the_suites_that_must_be_there_are(
+def test_the_required_suites_are_accepted(
     lan: Lan, pki: Pki, key: str, version: str, ciphers: str | None, negotiated: str
 ) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
@@ -101,7 +101,7 @@ def test_the_suites_that_must_be_there_are(
     ],
     ids=lambda ciphers: ciphers.partition(":")[0],
 )
-def test_suites_that_are_weak_are_refused(lan: Lan, pki: Pki, key: str, ciphers: str) -> None:
+def test_weak_suites_are_refused(lan: Lan, pki: Pki, key: str, ciphers: str) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
     security = pki.security(certificates.server(**keys))
     context_ = context(pki, certificates.client(**keys), VERSIONS["1.2"], f"{ciphers}:@SECLEVEL=0")
@@ -208,7 +208,7 @@ def test_a_bad_certificate_is_refused(
                 peers.append(":".join(map(str, client.socket.getsockname())))
                 if alert is None:
                     client.handshake()
-                    # It got the goodbye, whatever it sent meanwhile.
+                    # The client got the close notify, whatever it sent meanwhile.
                     assert client.ask(ONE, 1) == b""
                 else:
                     with pytest.raises(ssl.SSLError, match=alert):
@@ -229,7 +229,7 @@ def test_a_bad_certificate_is_refused(
         ("handshake", certificate_fields(identity))
     ] * 2
     assert any(word in events[-1].result for word in reasons.split("|"))
-    if alert is None:  # OpenSSL keeps to itself whose it was that it refused
+    if alert is None:  # OpenSSL does not tell whose certificate it refused
         assert message.endswith(f"SHA-256 {digest(identity)}")
 
 
@@ -237,7 +237,7 @@ def test_a_bad_certificate_is_refused(
 def test_a_session_of_a_refused_client_is_refused(
     lan: Lan, pki: Pki, served: tuple[Server, int], version: ssl.TLSVersion
 ) -> None:
-    """Its role is read when OpenSSL has given the ticket away."""
+    """The role is read after OpenSSL has sent the ticket."""
     context_ = context(pki, BAD["two roles"][0](), version)
     session = None
     for _ in range(3):
@@ -282,7 +282,7 @@ def test_without_cryptography_only_roles_are_refused(pki: Pki) -> None:
 
 
 @pytest.mark.parametrize("how", ["one", "several", "with a hash"])
-def test_only_those_that_are_pinned_get_in(lan: Lan, pki: Pki, how: str) -> None:
+def test_only_pinned_certificates_are_accepted(lan: Lan, pki: Pki, how: str) -> None:
     mine = certificates.self_signed(role="Installer")
     files = [pki.files(mine).cert]
     if how != "one":
@@ -311,7 +311,7 @@ def digest(identity: Identity | None) -> str:
     return hashlib.sha256(identity.der).hexdigest()
 
 
-def test_certificates_signed_by_a_pinned_one_are_refused(lan: Lan, pki: Pki, caplog) -> None:
+def test_certificates_signed_by_a_pinned_certificate_are_refused(lan: Lan, pki: Pki, caplog):
     """OpenSSL takes it, for the pinned one is what it trusts."""
     security = pki.server(pin=pki.authority(certificates.authority()))
     with caplog.at_level(logging.INFO), talking(lan, pki, security=security) as (server, client):
@@ -348,7 +348,7 @@ def test_a_pinned_certificate_may_be_expired(lan: Lan, pki: Pki, version: ssl.TL
 
 
 @pytest.mark.parametrize("how", ["1.2", "1.2 without tickets", "1.3"])
-def test_a_session_that_is_resumed_keeps_its_role(
+def test_a_resumed_session_keeps_its_role(
     lan: Lan, pki: Pki, served: tuple[Server, int], roles: list[str | None], how: str
 ) -> None:
     server, port = served
@@ -366,7 +366,7 @@ def test_a_session_that_is_resumed_keeps_its_role(
 
 
 @VERSION
-def test_a_certificate_that_expired_meanwhile_resumes_nothing(
+def test_the_session_of_a_certificate_that_expired_is_not_resumed(
     lan: Lan, pki: Pki, served: tuple[Server, int], caplog, monkeypatch, version: ssl.TLSVersion
 ) -> None:
     """OpenSSL looks at the dates when a session begins, and not again."""

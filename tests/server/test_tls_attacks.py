@@ -80,7 +80,7 @@ GARBAGE: dict[str, Callable[[], bytes]] = {
 
 @pytest.mark.parametrize("what", GARBAGE)
 @pytest.mark.parametrize("behind", ["at once", "behind a hello"])
-def test_other_bytes_end_the_connection(lan: Lan, pki: Pki, what, behind, caplog) -> None:
+def test_bytes_that_are_no_handshake_end_the_connection(lan: Lan, pki: Pki, what, behind, caplog):
     data = (hello(pki) if behind != "at once" else b"") + GARBAGE[what]()
     limits = Limits(handshake_timeout=1)
     with nothing_loud(caplog), serving(pki, limits=limits) as (server, port):
@@ -95,7 +95,7 @@ def test_other_bytes_end_the_connection(lan: Lan, pki: Pki, what, behind, caplog
         assert is_served(pki, port, lan)
 
 
-def test_a_hello_with_anything_in_it_does_no_harm(lan: Lan, pki: Pki, caplog) -> None:
+def test_a_damaged_client_hello_has_no_effect_on_others(lan: Lan, pki: Pki, caplog) -> None:
     """Bytes of a good one are changed, a few at a time."""
     good, chance = hello(pki), random.Random(7)
     with nothing_loud(caplog), serving(pki) as (server, port):
@@ -192,7 +192,7 @@ def _has_read(process: subprocess.Popen[bytes]) -> bool:
 
 
 @pytest.mark.parametrize("command", ["R", "K", "k"])
-def test_openssl_may_not_negotiate_again_but_change_its_keys(pki: Pki, command: str) -> None:
+def test_openssl_cannot_renegotiate_but_can_change_its_keys(pki: Pki, command: str) -> None:
     """R: negotiation; K: new keys both ways, k: its own (TLS 1.3)."""
     files = pki.files(certificates.client())
     is_negotiation = command == "R"
@@ -207,7 +207,7 @@ def test_openssl_may_not_negotiate_again_but_change_its_keys(pki: Pki, command: 
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            bufsize=0,  # what it does not take is not tried again
+            bufsize=0,  # the write is not tried again
         ) as process:
             assert process.stdin is not None
             assert process.stdout is not None
@@ -238,7 +238,7 @@ def test_openssl_may_not_negotiate_again_but_change_its_keys(pki: Pki, command: 
 
 
 def test_a_fatal_alert_in_the_middle_of_a_session_ends_it(lan: Lan, pki: Pki) -> None:
-    """Python's ssl sends one when what it gets is not a record."""
+    """Python's ssl sends an alert when it receives bytes that are no record."""
     with talking(lan, pki) as (server, client):
         assert client.is_answered()
         client._incoming.write(record(23, bytes(40)))
@@ -313,7 +313,7 @@ def test_a_server_that_ends_leaves_no_handshake(pki: Pki, caplog: pytest.LogCapt
 
 @pytest.mark.parametrize("what", ["half open", "idle"])
 @pytest.mark.filterwarnings("ignore:record_property is incompatible")
-def test_a_thousand_connections_have_room(pki: Pki, what, record_property) -> None:
+def test_a_thousand_connections_fit_into_the_memory_limit(pki: Pki, what, record_property) -> None:
     url = pki.url("tls://127.0.0.1:0", certificates.server())
     context_, first = context(pki, certificates.client()), hello(pki)
     count, some = 200, 20

@@ -48,7 +48,7 @@ def test_a_handshake_must_end_in_time(lan: Lan, pki: Pki, how, caplog) -> None:
 
 
 @VERSION
-def test_a_slow_handshake_is_not_hurried(lan: Lan, pki: Pki, version: ssl.TLSVersion) -> None:
+def test_a_slow_handshake_has_its_own_timeout(lan: Lan, pki: Pki, version: ssl.TLSVersion) -> None:
     """The time of a frame begins when the handshake is over."""
     limits = Limits(handshake_timeout=1000, frame_timeout=0.2)
     context_ = context(pki, certificates.client(), version)
@@ -65,7 +65,7 @@ def test_a_slow_handshake_is_not_hurried(lan: Lan, pki: Pki, version: ssl.TLSVer
         assert server.statistics.closed_slow == 0
 
 
-def test_the_oldest_half_open_connection_makes_room(lan: Lan, pki: Pki, monkeypatch) -> None:
+def test_the_oldest_half_open_connection_is_closed_for_a_new_one(lan: Lan, pki: Pki, monkeypatch):
     monkeypatch.setattr(server_tls, "HALF_OPEN", 5)
     first = hello(pki)
     with serving(pki) as (server, port), contextlib.ExitStack() as stack:
@@ -97,7 +97,7 @@ def still_open(connection: LanClient) -> bool:
     return False
 
 
-def test_handshakes_that_are_closed_in_the_line_cost_others_nothing(lan: Lan, pki: Pki) -> None:
+def test_handshakes_closed_in_the_queue_do_not_affect_others(lan: Lan, pki: Pki) -> None:
     """By their client, by the sweep, and to make room."""
     first = hello(pki)
     limits = Limits(handshake_timeout=0.2, max_connections=40)
@@ -119,9 +119,7 @@ def test_handshakes_that_are_closed_in_the_line_cost_others_nothing(lan: Lan, pk
         assert server.statistics.closed_for_others > 0
 
 
-def test_an_address_that_has_asked_too_much_does_not_hold_up_the_handshakes_of_others(
-    lan: Lan, pki: Pki
-) -> None:
+def test_an_address_over_its_rate_does_not_delay_handshakes_of_others(lan: Lan, pki: Pki) -> None:
     limits, first = Limits(requests_per_second=1), hello(pki)
     context_ = context(pki, certificates.client())
     with (

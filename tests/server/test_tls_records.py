@@ -100,7 +100,7 @@ def test_records_read_together_are_carried_out_in_order(
 
 
 def test_a_record_full_of_requests_is_answered_in_slices(lan: Lan, pki: Pki) -> None:
-    """Others have their turns between: what one record carries is up to 1365 requests."""
+    """Other clients take turns in between: a record can contain 1365 requests."""
     turns: list[str] = []
     device = Device(
         Mapping(10, 10, 1000, 1000), before_read=lambda access: turns.append(access.peer)
@@ -122,11 +122,11 @@ def test_a_record_full_of_requests_is_answered_in_slices(lan: Lan, pki: Pki) -> 
     modest_name = min(set(turns), key=turns.count)
     runs = "".join("m" if name == modest_name else "g" for name in turns).split("m")
     assert turns.count(modest_name) == 2
-    assert len(runs[-1]) > count // 2, [len(run) for run in runs]  # it did not have to wait for all
+    assert len(runs[-1]) > count // 2, [len(run) for run in runs]  # it did not wait for all
 
 
 @VERSION
-def test_requests_in_the_last_flight_of_the_handshake_are_answered(
+def test_requests_sent_with_the_end_of_the_handshake_are_answered(
     lan: Lan, pki: Pki, version: ssl.TLSVersion
 ) -> None:
     context_ = context(pki, certificates.client(), version)
@@ -146,7 +146,7 @@ def test_requests_in_the_last_flight_of_the_handshake_are_answered(
 
 
 @VERSION
-def test_close_notify_behind_a_request_gets_the_answer_and_close_notify(
+def test_a_close_notify_after_a_request_gets_the_answer_and_a_close_notify(
     lan: Lan, pki: Pki, way: dict[str, Any], version: ssl.TLSVersion
 ) -> None:
     with serving(pki, **way) as (server, port):
@@ -173,7 +173,7 @@ def raw_records(client: TlsClient) -> bytes:
     return data
 
 
-def test_records_behind_close_notify_are_ignored(lan: Lan, pki: Pki) -> None:
+def test_records_after_a_close_notify_are_ignored(lan: Lan, pki: Pki) -> None:
     with talking(lan, pki) as (server, client):
         late = client.encrypt(ONE)
         client.socket.sendall(client.goodbye() + late * 3)
@@ -181,14 +181,14 @@ def test_records_behind_close_notify_are_ignored(lan: Lan, pki: Pki) -> None:
         assert server.statistics.requests == 0
 
 
-def test_answers_that_are_kept_back_come_in_order(lan: Lan, pki: Pki) -> None:
+def test_delayed_answers_come_in_order(lan: Lan, pki: Pki) -> None:
     late = {None: [Fault("delay", seconds=200, every=3)]}
     with talking(lan, pki, faults=late) as (_, client):
         client.send(requests(4), *(adu(READ_ONE, number) for number in range(4, 8)))
         assert client.receive(len(answers(8))) == answers(8)
 
 
-def test_a_client_that_reads_late_gets_every_answer(
+def test_a_client_that_reads_slowly_gets_every_answer_over_tls(
     lan: Lan, pki: Pki, way: dict[str, Any]
 ) -> None:
     """A record has 350 kB of answers; two are more than the network in memory carries."""

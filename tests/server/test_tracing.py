@@ -147,7 +147,7 @@ SPOILT = [
 
 
 @each_case(("fault", "spoilt"), SPOILT)
-def test_a_spoilt_answer_is_traced_as_sent_and_the_next_one_whole(fault, spoilt) -> None:
+def test_a_damaged_answer_is_traced_as_sent_and_the_next_one_completely(fault, spoilt) -> None:
     frames: list[TracedFrame] = []
     with connected(frames.append, faults={17: [fault]}) as (one, _):
         ask(one, READ, ANSWER)
@@ -192,7 +192,7 @@ def test_bytes_that_are_no_frame_are_traced(scheme: str, noise: bytes) -> None:
     assert [(frame.adu, frame.unit, frame.function) for frame in frames] == [(noise, None, None)]
 
 
-def test_silence_ends_what_began_on_a_line() -> None:
+def test_silence_ends_an_incomplete_frame_in_the_trace() -> None:
     frames: list[TracedFrame] = []
     with connected(frames.append, "ascii+tcp://127.0.0.1:0") as (one, _):
         one.sendall(b":1103")
@@ -202,7 +202,7 @@ def test_silence_ends_what_began_on_a_line() -> None:
     assert len(frames) == 3
 
 
-def test_another_end_of_ascii_frames_is_followed() -> None:
+def test_the_trace_uses_a_changed_delimiter() -> None:
     frames: list[TracedFrame] = []
     change, restart = ascii_frame("11 08 0003 3B00"), ascii_frame("11 08 0001 0000")
     read, answer = ascii_frame("11 03 0000 0002"), ascii_frame("11 03 04 0007 0008")
@@ -225,7 +225,7 @@ def test_a_gateway_traces_frames_of_its_clients() -> None:
     assert {frame.endpoint for frame in frames} == set(running.urls)
 
 
-def test_the_logger_has_the_same(caplog: pytest.LogCaptureFixture) -> None:
+def test_the_logger_of_the_wire_gets_the_traced_frames(caplog: pytest.LogCaptureFixture) -> None:
     with connected(None) as (one, url):
         ask(one, READ, ANSWER)
         assert not [record for record in caplog.records if record.name == "libmodbus_py.wire"]
@@ -273,7 +273,7 @@ def test_a_trace_that_fails_costs_no_answer_and_is_logged_once(error, caplog) ->
 
 @pytest.mark.parametrize("direction", ["received", "sent"])
 @pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
-def test_a_trace_that_ends_the_program_does_after_the_answers(error, direction) -> None:
+def test_a_trace_that_ends_the_program_does_so_after_the_answers(error, direction) -> None:
     def ending(frame: TracedFrame) -> None:
         if frame.direction == direction:
             raise error("enough")
@@ -331,7 +331,7 @@ def test_a_flood_takes_no_memory() -> None:
     assert size < 100_000
 
 
-def test_answers_of_hooks_and_of_c_are_traced() -> None:
+def test_answers_from_hooks_and_from_c_are_traced() -> None:
     """One unit is answered in C, the other by a hook's way."""
     frames: list[TracedFrame] = []
     units = {17: made_device(), 18: made_device(before_read=Hook(lambda access: None))}
@@ -371,7 +371,7 @@ def fail(*_: object) -> Any:
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "udp"])
 @pytest.mark.parametrize("hook", ["before_read", "before_write", "after_write", "authorize"])
-def test_a_hook_that_fails_is_answered(log: Failing, hook: str, scheme: str) -> None:
+def test_a_failing_log_of_a_hook_costs_no_answer(log: Failing, hook: str, scheme: str) -> None:
     server = Server(made_device(**{hook: fail}), trace=fail)
     with serving(scheme, server) as url, Client(url, timeout=5) as client:
         for _ in range(3):
@@ -391,7 +391,7 @@ def test_a_refusal_of_a_gateway_is_answered(log: Failing, authorize: Any) -> Non
     assert log.records > 1
 
 
-def test_a_record_names_the_code_that_logged(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_log_record_names_the_code_that_logged_it(caplog: pytest.LogCaptureFixture) -> None:
     made_device(before_read=fail).answer(b"\x03\x00\x00\x00\x01")
     (record,) = caplog.records
     assert (record.filename, record.funcName) == ("device.py", "_log_failure")

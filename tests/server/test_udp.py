@@ -29,7 +29,7 @@ OTHER_MACHINES = ("192.0.2.1", "2001:db8::1", "::ffff:192.0.2.1")
 @pytest.mark.parametrize(
     "url", ["udp://127.0.0.1:0", pytest.param("udp://[::1]:0", marks=NEEDS_IPV6)]
 )
-def test_answers_go_to_the_sender_with_the_id_of_the_request(url, device: Device) -> None:
+def test_answers_go_to_the_sender_and_have_the_id_of_the_request(url, device: Device) -> None:
     other, other_answer = bytes.fromhex("03 0066 0002"), bytes.fromhex("03 04 03ea 03eb")
     server = Server({UNIT: device})
     with (
@@ -64,7 +64,7 @@ WORKED = [vector.values[0] for vector in vectors.rows(vectors.REQUESTS)]
 LONGEST = bytes.fromhex("10 0000 007b f6") + bytes(246)
 
 
-def test_the_longest_request_and_the_longest_answer(lan: Lan) -> None:
+def test_the_longest_request_and_the_longest_answer_fit_into_datagrams(lan: Lan) -> None:
     with server_on(lan, scheme="udp") as server, server.connect() as client:
         assert answer(client, LONGEST) == adu(LONGEST[:5])
         assert answer(client, READ_MOST) == adu(ANSWER_MOST)
@@ -120,7 +120,7 @@ def test_too_many_requests_are_dropped_for_one_address_only(lan: Lan) -> None:
         ask(eager, 600)
 
 
-WRITE = bytes.fromhex("06 0064 0007")  # its answer is the same bytes
+WRITE = bytes.fromhex("06 0064 0007")  # its answer has the same bytes
 QUERY = bytes.fromhex("08 0000 1234")
 MASK = bytes.fromhex("16 0064 00f2 0025")
 
@@ -154,7 +154,7 @@ def test_two_servers_do_not_answer_each_other_for_ever(lan: Lan) -> None:
 
 
 @pytest.mark.parametrize("pdu", [WRITE, QUERY, MASK], ids=["write", "query", "mask"])
-def test_an_answer_that_comes_back_is_not_answered_for_ever(lan: Lan, pdu: bytes) -> None:
+def test_a_returned_answer_is_not_answered_without_end(lan: Lan, pdu: bytes) -> None:
     with server_on(lan, scheme="udp") as server, server.connect() as client:
         client.settimeout(500)
         datagram = adu(pdu)
@@ -167,7 +167,7 @@ def test_an_answer_that_comes_back_is_not_answered_for_ever(lan: Lan, pdu: bytes
         assert answer(client, pdu, 2) == adu(pdu, 2)
 
 
-def test_clients_that_write_or_ask_again_are_answered(lan: Lan) -> None:
+def test_clients_that_write_or_repeat_a_request_are_answered(lan: Lan) -> None:
     with server_on(lan, scheme="udp") as server, server.connect() as client:
         for transaction in range(300):
             assert answer(client, WRITE, transaction) == adu(WRITE, transaction)
@@ -223,7 +223,7 @@ def test_addresses_of_other_machines_get_no_more_than_a_thousand_answers_a_secon
     assert admitted() == later
 
 
-async def test_however_many_sources_are_forged_little_is_remembered(monkeypatch) -> None:
+async def test_memory_for_many_forged_sources_is_bounded(monkeypatch) -> None:
     monkeypatch.setattr(source_module, "REMEMBERED_MAX", 300)
     monkeypatch.setattr(limits, "REMEMBERED_MAX", 200)
 
@@ -242,7 +242,7 @@ async def test_however_many_sources_are_forged_little_is_remembered(monkeypatch)
     assert remembered(Allowance) - before[1] == 200 + 300
 
 
-def test_a_late_answer_does_not_hold_up_the_others(lan: Lan) -> None:
+def test_a_delayed_answer_does_not_delay_the_others(lan: Lan) -> None:
     faults = {UNIT: [Fault("delay", seconds=300, every=2)]}
     with (
         server_on(lan, scheme="udp", faults=faults) as server,
@@ -276,7 +276,7 @@ def test_faults_change_answers_to_datagrams(lan: Lan, fault: Fault, response: by
             assert answer(client, READ_ONE, 7) == response
 
 
-def test_an_answer_still_kept_back_does_not_keep_the_server(lan: Lan) -> None:
+def test_a_server_closes_at_once_while_answers_are_delayed(lan: Lan) -> None:
     faults = {None: [Fault("delay", seconds=600)]}
     with server_on(lan, scheme="udp", faults=faults) as server, server.connect() as client:
         client.send(adu(READ_MOST))
@@ -285,7 +285,7 @@ def test_an_answer_still_kept_back_does_not_keep_the_server(lan: Lan) -> None:
     assert lan.now - start < 0.01
 
 
-def test_no_more_than_so_many_answers_are_kept_back(lan: Lan, monkeypatch) -> None:
+def test_the_number_of_delayed_answers_is_limited(lan: Lan, monkeypatch) -> None:
     """Requests that arrive meanwhile are lost."""
     monkeypatch.setattr(source_module, "REMEMBERED_MAX", 100)
     faults = {None: [Fault("delay", seconds=600)]}
@@ -326,7 +326,7 @@ NO_MBAP = [
     adu(LONGEST) + bytes(253),
     adu(READ) + bytes(60_000),  # longer than is read
     rtu("01 03 0000 0001"),
-    adu(READ)[:7],  # the two halves of one
+    adu(READ)[:7],  # the two halves of one request
     adu(READ)[7:],
 ]
 
@@ -350,7 +350,7 @@ def damaged(scheme: str) -> Iterator[bytes]:
     ids=["plain", "faulty", "gateway"],
 )
 @pytest.mark.parametrize("scheme", DATAGRAMS)
-def test_a_datagram_that_is_no_frame_is_counted_once(lan: Lan, scheme, settings) -> None:
+def test_an_invalid_datagram_is_counted_once(lan: Lan, scheme, settings) -> None:
     url, encode = f"{scheme}://10.0.0.1:1502", DATAGRAMS[scheme]
     with unit_one(url, **settings) as (server, _), lan.client(url) as client:
         statistics = server.statistics

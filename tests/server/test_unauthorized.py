@@ -52,7 +52,7 @@ def test_unauthorized_requests_are_not_executed(transport: str) -> None:
 
 
 @pytest.mark.parametrize("many", [1, 8])
-def test_unauthorized_requests_are_refused_alone_and_in_chunks(many: int) -> None:
+def test_unauthorized_requests_are_refused_one_by_one_and_in_batches(many: int) -> None:
     """The server answers chunks, and what comes alone, in C where it can."""
     numbered = [(number, pdu) for number, pdu in enumerate(examples("pdu")) if pdu[0] < 0x80]
     # Between requests to a device that C answers.
@@ -74,7 +74,7 @@ def test_unauthorized_requests_are_refused_alone_and_in_chunks(many: int) -> Non
     assert not any(guarded_.mapping.holding_registers)
 
 
-def test_faults_refuse_without_asking() -> None:
+def test_faults_refuse_a_request_without_a_call_of_authorize() -> None:
     """A fault answers instead of the device: nothing is done, so nothing needs to be allowed."""
     requests: list[ClientRequest] = []
     server = Server({1: guarded(requests.append)}, faults={1: [Fault("exception", code=6)]})
@@ -123,7 +123,7 @@ def allowed(ask: Callable[[pdu.Request[object]], object]) -> list[bool]:
         ("viewer", [False, False, False, False]),
     ],
 )
-def test_rules_go_by_the_role_of_the_certificate(pki: Pki, role, results) -> None:
+def test_rules_apply_to_the_role_of_the_certificate(pki: Pki, role, results) -> None:
     device = Device(Mapping(holding_registers=1), authorize=RULES)
     server = Server(device, security=pki.server())
     with (

@@ -25,7 +25,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
         ("fleet.toml", FleetFile),
     ],
 )
-def test_a_file_is_what_it_contains(name: str, kind: type, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_contents_decide_the_kind_of_a_file(name: str, kind: type, monkeypatch: pytest.MonkeyPatch):
     for variable in ("MQTT_PASSWORD", "INFLUX_PASSWORD", "INFLUX_TOKEN"):
         monkeypatch.setenv(variable, "secret")
     assert isinstance(load(EXAMPLES / name), kind)

@@ -138,7 +138,7 @@ def test_a_secret_is_used_only_if_others_cannot_read_it(tmp_path, read_file, mod
     assert "sesame" not in str(caught.value)
 
 
-def test_a_secret_is_the_former_when_others_can_read_the_new_one(tmp_path: Path) -> None:
+def test_a_secret_stays_the_former_one_when_others_can_read_the_new_file(tmp_path: Path) -> None:
     path = write_secret(tmp_path / "secret", "first\n")
     secret = SecretFile(path)
     write_secret(path, "second\n")
@@ -148,7 +148,7 @@ def test_a_secret_is_the_former_when_others_can_read_the_new_one(tmp_path: Path)
     assert secret.text == "second"
 
 
-def test_secrets_of_one_file_are_equal(tmp_path: Path) -> None:
+def test_secrets_of_one_file_compare_equal(tmp_path: Path) -> None:
     one, other = (write_secret(tmp_path / name, "the same\n") for name in ("one", "other"))
     assert SecretFile(one) == SecretFile(str(one))
     assert hash(SecretFile(one)) == hash(SecretFile(str(one)))

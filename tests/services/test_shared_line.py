@@ -43,7 +43,7 @@ def test_hosts_and_their_clients_take_turns(queue_text: str, turns: str) -> None
     assert (queue.count, list(queue), queue.pick(any_of)) == (0, [], None)
 
 
-def test_one_client_fills_its_own_queue_only_and_all_have_a_bound() -> None:
+def test_one_client_fills_only_its_own_queue_and_the_total_is_limited() -> None:
     queue: FairQueue[LineRequest] = FairQueue(2, 3)
     a0, a1, a2, b0, x0 = requests("a0 a1 a2 b0 x0")
     assert [queue.put(entry) for entry in (a0, a1, a2, b0, x0)] == [True, True, False, True, False]

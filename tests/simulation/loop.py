@@ -35,12 +35,12 @@ class Descriptors:
         self._next = FIRST_DESCRIPTOR
 
     def new(self) -> int:
-        """Return a descriptor that nobody had."""
+        """Return a new descriptor."""
         self._next += 1
         return self._next
 
     def forget(self, descriptor: int) -> None:
-        """Take one away for good."""
+        """Forget a descriptor."""
         self.readable.discard(descriptor)
         self.writable.discard(descriptor)
 
@@ -107,7 +107,7 @@ class Selector(selectors._BaseSelectorImpl):
         if events.now != self._moved_at:
             self._turns_before, self._moved_at = self.turns, events.now
         elif self.turns - self._turns_before > MOST_TURNS:
-            self._turns_before = self.turns  # who is cancelled now may end
+            self._turns_before = self.turns  # cancelled tasks may end now
             raise Stuck(f"the loop turns without end at {events.now!r} s")
         self.on_turn()
         if events.next_at <= events.now:

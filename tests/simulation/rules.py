@@ -57,7 +57,7 @@ class Pause:
             self.asked, self.pause = now, self.timeout
             return 0.0
         if not self.pause or now <= self.asked + self.timeout:
-            return 0.0  # one of those that were in flight together
+            return 0.0  # a request that was in flight with it
         early = self.asked + self.pause - now
         self.asked, self.pause = now, min(2 * self.pause, LONGEST_PAUSE)
         return early

@@ -115,7 +115,7 @@ class Scripted(Party):
         self._later(after, self._line.write, self, data)
 
     def _later(self, after: float, call: Callable[..., object], *args: Any) -> None:
-        """Do it now, or in so many seconds; simultaneous events have no order, but writes do."""
+        """Call a function now, or in so many seconds; only writes have an order."""
         if after:
             self.network.events.after(after, call, *args)
         else:

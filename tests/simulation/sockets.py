@@ -54,7 +54,7 @@ class MemorySocket:
         self._is_datagram = is_datagram
         self._transit: deque[tuple[float, bytes | None]] = deque()
         self._inbox: deque[bytes] = deque()
-        self._coming = 0  # bytes on their way here, or unread
+        self._coming = 0  # bytes in flight to this side, or unread
         self._has_ended = False  # the other side sends nothing more
         self._error = 0
         self._is_shut = False
@@ -205,7 +205,7 @@ class MemorySocket:
         return self._error != 0
 
     def _follow(self) -> None:
-        """Say whether there is something to read."""
+        """Note whether there are bytes to read."""
         if self._descriptor < 0:
             return
         change = self._descriptors.readable
@@ -255,7 +255,7 @@ class _Inbox:
         return self._descriptor
 
     def put(self, what: Any, source: tuple[str, int]) -> None:
-        """Let something arrive from there."""
+        """Let something from the other side arrive."""
         self._waiting.append((what, source))
         self._descriptors.readable.add(self._descriptor)
 
@@ -336,7 +336,7 @@ class MemoryEpoll:
 
     def poll(self, timeout: float = 0, most: int = -1) -> list[tuple[int, int]]:
         ready = list(self._ready.items())[: most if most >= 0 else None]
-        for descriptor, events in ready:  # the others are first the next time
+        for descriptor, events in ready:  # the other descriptors come first the next time
             del self._ready[descriptor]
             self._ready[descriptor] = events
         return ready
@@ -346,7 +346,7 @@ class MemoryEpoll:
         self._descriptors.forget(self._descriptor)
 
     def follow(self, descriptor: int) -> None:
-        """Look again at one of the sockets."""
+        """Check again whether one of the sockets is ready."""
         mask = self._wanted.get(descriptor, 0)
         can_read = descriptor in self._descriptors.readable
         can_write = descriptor in self._descriptors.writable

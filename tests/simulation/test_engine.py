@@ -48,5 +48,5 @@ def exchange(seed: int) -> list[tuple[float, str, bytes]]:
     return list(engine.stream)
 
 
-def test_workers_are_stopped_and_killed_and_equal_seeds_have_equal_traces() -> None:
+def test_simulated_workers_stop_and_die_and_equal_seeds_have_equal_traces() -> None:
     assert exchange(seed=4) == exchange(seed=4) != exchange(seed=5)

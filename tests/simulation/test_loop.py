@@ -120,7 +120,7 @@ def patch_with_note(patch: pytest.MonkeyPatch, name: str, calls: list[str]) -> N
 READ = bytes.fromhex("0001 0000 0006 11 03 0002 0001")
 
 
-def test_on_a_stage_time_passes_only_while_the_test_waits() -> None:
+def test_in_a_simulated_network_time_passes_only_while_the_test_waits() -> None:
     late = {None: [Fault("delay", seconds=500)]}
     server = Server({17: Device(Mapping(holding_registers={2: [502]}))}, faults=late)
     with Lan() as lan, server.background("tcp://10.0.0.1:0") as running:

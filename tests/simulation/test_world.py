@@ -22,12 +22,12 @@ QUICK = [scenario for scenario in SCENARIOS if scenario != "plant"]
 
 @pytest.mark.parametrize("scenario", QUICK)
 @pytest.mark.parametrize("seed", range(3))
-def test_every_scenario_keeps_the_rules(scenario: str, seed: int) -> None:
+def test_every_scenario_follows_the_rules(scenario: str, seed: int) -> None:
     play(replace(options_of(seed), scenario=scenario, seconds=20.0))
 
 
 @pytest.mark.parametrize("options", seed_options(), ids=lambda run: f"{run.scenario}-{run.seed}")
-def test_what_failed_once_does_not_fail_again(options: Options) -> None:
+def test_recorded_failures_do_not_fail_again(options: Options) -> None:
     play(options)
 
 
@@ -48,7 +48,7 @@ def play_and_listen(options: Options) -> list[str]:
 
 
 @pytest.mark.parametrize("broken", BREAKS, ids=lambda broken: broken.rule)
-def test_what_is_broken_on_purpose_is_found(broken: Break) -> None:
+def test_each_defect_made_on_purpose_is_found(broken: Break) -> None:
     failure = find(broken, seeds=SEEDS)
     assert failure is not None
     with broken.broken():

@@ -89,7 +89,7 @@ class SimulatedWorker:
         return self._offset + self._rate * self._network.events.now
 
     async def leave(self) -> None:
-        """End as on SIGTERM: the others are told."""
+        """End as on SIGTERM: the other workers are informed."""
         self.process.call(self.polling.leave)
         await self._task
         await self.client.close()
@@ -101,6 +101,6 @@ class SimulatedWorker:
         self._task.cancel()
 
     async def ended(self) -> None:
-        """Wait until nothing of what was killed is left."""
+        """Wait until the killed worker has left no task."""
         await asyncio.gather(self._task, return_exceptions=True)
         await self.client.close()

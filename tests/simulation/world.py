@@ -50,7 +50,7 @@ ROUNDING = 0.002
 
 @dataclass(frozen=True)
 class Options:
-    """What a run is."""
+    """The settings of a run."""
 
     seed: int
     scenario: str
@@ -164,7 +164,7 @@ class World:
         return ask
 
     async def ask(self, plc: AsyncClient, call: Call) -> None:
-        """Ask, and tell the checker what became of it."""
+        """Send a request, and pass its outcome to the checker."""
         try:
             async with asyncio.timeout(self._patience()):
                 values = await _requested(plc, call)

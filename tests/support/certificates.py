@@ -29,13 +29,13 @@ HOSTS = ("localhost", "127.0.0.1", "::1")
 
 @cache
 def authority() -> Identity:
-    """The one that both sides trust."""
+    """The authority that both sides trust."""
     return make("Test authority", is_authority=True)
 
 
 @cache
 def foreign_authority() -> Identity:
-    """Another one, with the same name: names prove nothing."""
+    """Another authority of the same name, because names prove nothing."""
     return make("Test authority", is_authority=True)
 
 
@@ -52,7 +52,7 @@ def rsa_key() -> rsa.RSAPrivateKey:
 
 @cache
 def server(**options: Any) -> Identity:
-    """The server, on this machine; options as those of `make`."""
+    """The certificate of the server, for this machine; options as those of `make`."""
     return make("Test server", **{"issuer": authority(), "hosts": HOSTS} | options)
 
 
@@ -129,7 +129,7 @@ def _signed_anew(
     without: x509.ObjectIdentifier,
     issuer: Identity | None = None,
 ) -> Identity:
-    """The same for a day, with other extensions."""
+    """Return the same certificate for a day, with other extensions."""
     old = identity.certificate
     extensions = [extension for extension in old.extensions if extension.oid != without]
     builder = x509.CertificateBuilder(

@@ -63,7 +63,7 @@ class Snapshot(NamedTuple):
 
     @classmethod
     def taken(cls) -> Snapshot:
-        """Look at all of it."""
+        """Return all descriptors, threads and processes."""
         threads = frozenset(threading.enumerate())
         descriptors = _descriptors() - LASTING_DESCRIPTORS
         return cls(descriptors, threads, _thread._count(), _children() - LASTING_CHILDREN)
@@ -86,7 +86,7 @@ def _descriptors() -> frozenset[str]:
 
 
 def _children() -> frozenset[str]:
-    if hasattr(os, "waitid"):  # PyPy has none, and looks always
+    if hasattr(os, "waitid"):  # PyPy lacks waitid, and always looks
         try:
             os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
         except ChildProcessError:
@@ -193,7 +193,7 @@ class Loops:
         self.left += [f"timer {entry!r}" for entry in loop._scheduled if not entry.cancelled()]
 
     def names(self) -> list[str]:
-        """Return what is left."""
+        """Return the names of the leaks."""
         tasks = list(self.left)
         for loop in list(self._open):
             if id(loop) not in self._known and not loop.is_closed():

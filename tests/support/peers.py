@@ -144,7 +144,7 @@ class Peer:
         """In the thread, as the last thing."""
 
     def _read(self, key: selectors.SelectorKey) -> None:
-        """Take what is there to be read."""
+        """Read the available bytes."""
         raise NotImplementedError
 
     def _note(self, request: bytes, write: Write) -> None:
@@ -153,7 +153,7 @@ class Peer:
         self.on_request(request, write)
 
     def _later(self, act: Callable[[], None], after: float) -> None:
-        """Do it now, or in so many seconds."""
+        """Call a function now, or in so many seconds."""
         if after:
             heapq.heappush(self._due, (time.monotonic() + after, next(self._numbers), act))
         else:

@@ -51,7 +51,7 @@ def tls_context(url: str, purpose: ssl.Purpose = ssl.Purpose.SERVER_AUTH) -> ssl
     """Return the context of a client, or of a server, whose certificate stands in the URL."""
     files = parse(url).options
     tls = ssl.create_default_context(purpose, cafile=files["ca"])
-    tls.check_hostname = False  # the blocking client of pymodbus does not tell ssl whom it wants
+    tls.check_hostname = False  # the blocking client of pymodbus does not pass the host to ssl
     tls.verify_mode = ssl.CERT_REQUIRED
     tls.load_cert_chain(files["cert"], files["key"])
     return tls
@@ -103,7 +103,7 @@ def in_background(make_server: Callable[[SimDevice], Any]) -> Iterator[Any]:
         await server.serve_forever(background=True)
         started.set_result((server, lambda: loop.call_soon_threadsafe(stop.set)))
         await stop.wait()
-        await asyncio.sleep(0.02)  # it forgets connections that come or end just now
+        await asyncio.sleep(0.02)  # pymodbus forgets connections that begin or end at this time
         await server.shutdown()
         await asyncio.sleep(0.02)
 

@@ -53,7 +53,7 @@ class Sealing:
         self.is_ended: bool = False
 
     def take(self, data: bytes) -> bytes:
-        """Return what was decrypted of what came."""
+        """Receive records; return the decrypted bytes."""
         self._incoming.write(data)
         plain = b""
         try:
@@ -70,7 +70,7 @@ class Sealing:
         return plain
 
     def seal(self, data: bytes) -> None:
-        """Encrypt what is to be sent: see `outgoing`."""
+        """Encrypt the bytes in `outgoing`."""
         self._tls.write(data)
 
     def end(self) -> None:

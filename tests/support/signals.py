@@ -8,13 +8,13 @@ from contextlib import contextmanager
 
 
 def interrupt() -> None:
-    """Raise what Ctrl-C raises."""
+    """Raise KeyboardInterrupt, as Ctrl-C does."""
     raise KeyboardInterrupt
 
 
 @contextmanager
 def on_alarm(act: Callable[[], object], seconds: float) -> Iterator[None]:
-    """Let a signal handler do it in so many seconds."""
+    """Call a function in a signal handler in so many seconds."""
     before = signal.signal(signal.SIGALRM, lambda *_: act())
     limit = signal.setitimer(signal.ITIMER_REAL, seconds)
     try:

@@ -31,7 +31,7 @@ def file_device(name: str) -> list[int]:
             break
         data = FileClientModel(model["ID"], 0, model.get("L"), data=model).get_mb()
         cells = list(struct.unpack(f">{len(data) // 2}H", data))
-        models.append([cells[0], len(cells) - 2, *cells[2:]])  # one of the files has no lengths
+        models.append([cells[0], len(cells) - 2, *cells[2:]])  # one file has models without lengths
     return chain(*models)
 
 

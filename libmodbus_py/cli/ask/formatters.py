@@ -123,7 +123,7 @@ def _of_type(item: Item, kind: ValueType, cells: list[int]) -> _Shown:
         place = f"{item.table.replace('_', ' ')} from {item.number()}"
         raise ValueError(f"{place} hold no {kind.name}: {values[0]}")
     rows = []
-    # What JSON has no numbers for: the values are null, and their texts stand here.
+    # Values for which JSON has no number: they are null, and their texts stand here.
     texts = {}
     numbers: list[Any] = []
     for at, value in enumerate(values):
@@ -153,7 +153,7 @@ def _in_all_ways(item: Item, cells: list[int]) -> _Shown:
         sizes = [size for size in SIZES if size < len(cells) and at + size <= len(cells)]
         parts = [way for size in sizes for way in readings(cells[at : at + size])]
         parts.sort(key=lambda reading: reading.doubt)
-        # Of signed and unsigned values that are equal, one is enough here.
+        # One of a signed and an unsigned value that are equal is enough here.
         distinct: dict[str, Interpretation] = {}
         for part in parts:
             distinct.setdefault(repr(part.value), part)
@@ -241,7 +241,7 @@ def aligned(results: Sequence[ReadResult]) -> list[str]:
 
 
 def _where(item: Item, row: ValueText, word: int, width: int) -> str:
-    """Return what a line begins with: a name, or a table and a number below those of others."""
+    """Return the beginning of a line: a name, or a table and an address as wide as the others."""
     if item.point is not None or item.form == ALL or (word and not item.word):
         return row.where
     return f"{item.word:<{word}} {row.where:>{width}}" if word else f"{row.where:>{width}}"
@@ -275,7 +275,7 @@ Printer = Callable[[int, Sequence[ReadResult], str], None]
 def printer_of(
     options: argparse.Namespace, items: Sequence[Item], *, several: bool, are_polls: bool
 ) -> Printer:
-    """Return what prints results of several units, or one; those of polls with the time."""
+    """Return the printer of results of several units, or of one; for polls also of the time."""
     if options.csv:
         return _CsvRows(items, has_unit=several, path=options.written_to).print
     if options.json:

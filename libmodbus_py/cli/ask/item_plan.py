@@ -38,7 +38,7 @@ class ItemPlan(Plan):
         return ItemPlan(items, *self._limits, self._refusals)
 
     def cells(self, ask: Callable[[Sequence[Any]], list[Any]], connects: int) -> dict[int, Any]:
-        """Return the cells of each item by its index, or the error in place of them."""
+        """Return the cells of each item by its index, or the error of the item."""
         steps = reading(self.blocks, self._refusals, time.monotonic(), connects)
         cells: dict[int, Any] = self.results(carried_out(steps, ask))
         answers = iter(

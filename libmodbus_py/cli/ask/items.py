@@ -122,7 +122,7 @@ class Item(NamedTuple):
 
 
 class Words:
-    """The words on the command line, taken one after the other; to write, they have values."""
+    """The words on the command line, read one after the other; items to write have values."""
 
     def __init__(
         self, options: argparse.Namespace, words: Sequence[str], *, have_values: bool = False
@@ -143,13 +143,13 @@ class Words:
             if self._type is None and not any(re.match(r"[0-9][0-9-]*:", word) for word in words):
                 raise ValueError(f"--{name} needs --type, or a type as in hr 100:float32")
         self._options_of_types = {**USUAL, **layout}
-        self._kind(self._type)  # refuses what is wrong without any item, too
+        self._kind(self._type)  # refuses invalid options without any item, too
 
     def __bool__(self) -> bool:
         return bool(self._words)
 
     def all_items(self, groups: Iterable[str]) -> list[Item]:
-        """Take all items of a read: groups of the map, and what was typed; else the whole map."""
+        """Return all items of a read: groups of the map, and typed items; else the whole map."""
         names: list[str] = []
         for group in groups:
             if self.map is None:
@@ -183,7 +183,7 @@ class Words:
         return [_of_point(point) for point in sources_of(points, self.map).values()]
 
     def take_item(self) -> Item:
-        """Take ``TABLE ADDRESS``, a reference, or a name; raise ValueError if it is none."""
+        """Read ``TABLE ADDRESS``, a reference, or a name; raise ValueError for other words."""
         first = self._pop()
         name = first.partition(":")[0]
         if name in TABLE_WORDS or (_table_word(name) and not self._is_point(first)):
@@ -207,7 +207,7 @@ class Words:
         )
 
     def take_values(self) -> list[str]:
-        """Take all words up to the next item."""
+        """Read all words up to the next item."""
         values = []
         while self._words and not self._begins_item(self._words[0]):
             values.append(self._words.popleft())
@@ -225,7 +225,7 @@ class Words:
         return number_of("count", self._words.popleft())
 
     def _pop(self) -> str:
-        """Take a word; of a word such as 40101=5 only what stands before the value."""
+        """Take a word; of a word such as 40101=5 only the part before the value."""
         word = self._words.popleft()
         if "=" not in word or self._is_point(word):
             return word

@@ -185,7 +185,7 @@ def check_output(output: str | None, suffixes: Collection[str], mark: str | None
 
 
 def from_device(options: argparse.Namespace) -> int:
-    """Find what a device has, and write a map of it."""
+    """Search the registers of a device, and write a map of them."""
     check_output(options.output, TEXTS)
     url = endpoint_of(options).url
     status = Status()

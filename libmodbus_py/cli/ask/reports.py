@@ -218,7 +218,7 @@ def _raw(options: argparse.Namespace) -> int:
     with closing(new_client(options)) as context:
         response = request.encode_response(context.execute(request))
     print(response.hex(" "))
-    with suppress(ModbusError, ValueError):  # of a function that is not known
+    with suppress(ModbusError, ValueError):  # of an unknown function
         request_of_class = decode_request(request.encode())
         print(f"{request_of_class}: {request_of_class.decode_response(response)!r}")
     return 0

@@ -52,7 +52,7 @@ class ShownWatch:
         return self._values.series(name, column)
 
     def print(self, unit: int, results: Sequence[ReadResult], reason: str) -> None:
-        """Take the results of a unit, or why there are none."""
+        """Take the results of a unit, or the reason why there are none."""
         now, device = time.time(), _device(unit)
         self._polls += 1
         self._failed += bool(reason) or any(result.failure for result in results)
@@ -66,7 +66,7 @@ class ShownWatch:
                 readings += [(now, device, name, None, of, quality, failure) for name, of in names]
                 continue
             mark = "Fell" if results[at].has_fallen else ""
-            readings += [  # of an empty queue there are none
+            readings += [  # an empty queue has no values
                 (now, device, name, _value(row.plain), of, "good", mark)
                 if row.plain or not row.unit
                 else (now, device, name, None, of, "bad", row.unit[1:-1])
@@ -112,7 +112,7 @@ class WatchedUnit:
     is_problem = is_down
 
     def take(self, now: float, reason: str) -> None:
-        """Take the outcome of a poll: why there is no answer, or an empty text."""
+        """Take the outcome of a poll: the reason for no answer, or an empty text."""
         if self._reason is None or bool(self._reason) != bool(reason):
             self._since = now
         self._reason = reason

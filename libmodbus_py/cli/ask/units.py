@@ -61,7 +61,7 @@ def ask_units(
 
 
 def fail(unit: int, reason: str, *, as_json: bool, lacks: str) -> None:
-    """Print that one of several units failed; `lacks` is what it has none of, such as "values"."""
+    """Print that one of several units failed; `lacks` names what is missing, such as "values"."""
     if as_json:
         print_json({"unit": unit, "error": reason})
         return

@@ -48,7 +48,7 @@ class Watcher(Reader):
 
     def poll(self, client: Client, at: float) -> list[ReadResult]:
         """
-        Ask for all items that are due; those that are not due have their last results.
+        Read all items that are due; the others keep their last results.
 
         A total that is smaller than before is read again. `at` is when this poll is due, in seconds
         of any steady clock. Raises what `ask` does.
@@ -114,7 +114,7 @@ def _times(interval: float, count: int | None, lasts: float) -> Iterator[float]:
 
 
 def _poll(reader: Watcher, context: Client, due: float, printers: Sequence[Printer]) -> bool:
-    """Print the results of a unit, or why there are none; return True if there are results."""
+    """Print the results of a unit, or the reason without results; return True with results."""
     results, reason = list[ReadResult](), ""
     try:
         results = reader.poll(context, due)
@@ -144,7 +144,7 @@ def _printers(options: argparse.Namespace, readers: Sequence[Watcher], title: st
 
 
 def _complain(notes: dict[int, str], unit: int, results: Sequence[ReadResult], reason: str) -> None:
-    """Print why values of a unit are missing, when this is not what was `said` of it before."""
+    """Print why values of a unit are missing, if this differs from the last message about it."""
     text = reason or "; ".join(result.failure for result in results if result.failure)
     if text and text != notes.get(unit):
         complain(text)

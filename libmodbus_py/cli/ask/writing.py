@@ -68,7 +68,7 @@ def write(options: argparse.Namespace) -> int:
             if isinstance(request, pdu.ReadWriteRegisters):
                 first = Item("holding_registers", request.read_address, base=item.base)
                 print("\n".join(aligned([result_of(first, result)])))
-        # After the last write, because one may change what another wrote.
+        # After the last write, because one write may change the cells of another.
         differing: list[str] = []
         for write in writes:
             found_values = _verified(context, write, differing) if options.verify else None
@@ -92,7 +92,7 @@ def _show(options: argparse.Namespace, requests: list[Request]) -> None:
 
 
 def _say(context: Client, map: RegisterMap | None, write: Write, cells: list[int] | None) -> None:
-    """Print what was written, and the cells that --verify read; None without it."""
+    """Print the written values, and the cells that --verify read; None without it."""
     item = write.item
     name = item.label() if item.point is None else item.point.name
     line = f"{name}: wrote {' '.join(write.texts) or 'the bits of the mask'}"
@@ -127,7 +127,7 @@ def _writes(options: argparse.Namespace, words: Words) -> list[Write]:
 def _point_requests(
     options: argparse.Namespace, points: RegisterMap, item: Item, texts: list[str]
 ) -> list[Request]:
-    """Return the requests for a point; what scales it is read, because registers depend on it."""
+    """Return the requests for a point; its scale is read first if registers depend on it."""
     point = item.point
     assert point is not None
     if options.mask or options.and_read:
@@ -191,7 +191,7 @@ def _requests(options: argparse.Namespace, item: Item, texts: list[str]) -> list
 
 
 def _register(text: str) -> int:
-    """Return one register; the error about 1e3 or 1.5 says what is typed instead."""
+    """Return one register; the error about 1e3 or 1.5 says what to type instead."""
     try:
         return typed_register(text)
     except ValueError as error:
@@ -213,7 +213,7 @@ def _verified(context: Client, write: Write, differing: list[str]) -> list[int]:
         (access,) = touched(request).writes
         values, bits = access.values, 0xFFFF
         if isinstance(request, pdu.MaskWriteRegister):
-            # A bit of the AND mask keeps what was there, which is not known.
+            # Bits that the AND mask keeps are not known.
             values, bits = (request.or_mask,), ~request.and_mask & 0xFFFF
         if access.table == "file":
             record = access.file, access.address, access.count

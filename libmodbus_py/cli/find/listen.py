@@ -108,7 +108,7 @@ def _listen(options: argparse.Namespace) -> int:
     with listen(place, between=options.between, capture=options.capture) as line:
 
         def stop(number: int, _: object) -> None:
-            signal.signal(number, before[signal.Signals(number)])  # the second one ends all
+            signal.signal(number, before[signal.Signals(number)])  # the second one ends the process
             line.close()
 
         def take(transactions: Iterable[Transaction]) -> None:
@@ -141,7 +141,7 @@ def _listen(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace, path: str, *, is_live: bool) -> int:
-    """Ask a device again what a capture has, and print what differs."""
+    """Repeat the requests of a capture at a device, and print the answers that differ."""
     from ...client.blocking import Client
     from ...tools.listener.replay import differences
 
@@ -191,7 +191,7 @@ def _shower(options: argparse.Namespace) -> Callable[[Transaction], None]:
 
 
 def _learned(options: argparse.Namespace) -> LearnedMap | None:
-    """Return the map that is learned, for a file that can be written; None for none."""
+    """Return the map of the observed requests, to be written to a file; None for none."""
     if options.learn is None:
         return None
     from ...tools.listener.named import LearnedMap

@@ -202,7 +202,7 @@ def _search(report: _Report) -> None:
 
 
 class _Report:
-    """The units found so far: printed at once, or in the end as JSON."""
+    """The units found so far: printed at once, or at the end as JSON."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.found: list[FoundUnit] = []

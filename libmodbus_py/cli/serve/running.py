@@ -158,7 +158,7 @@ def notify_ready() -> None:
     if not place.startswith(("/", "@")):
         return
     address = "\0" + place[1:] if place.startswith("@") else place
-    # A manager that is gone is not a reason to stop serving.
+    # A service manager that has ended is no reason to stop serving.
     with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
         sender.sendto(b"READY=1", address)
 
@@ -178,7 +178,7 @@ class Hangup:
         self.release()
 
     def release(self) -> None:
-        """Let the signal come; what waited comes now."""
+        """Allow signals again; those that waited arrive now."""
         signal.pthread_sigmask(signal.SIG_SETMASK, self._before)
 
     def answered(

@@ -129,7 +129,7 @@ class _Encapsulated(Request[Result]):
     response_length: ClassVar[LengthRule] = in_c(_response_length, lib.ENCAPSULATED_RESPONSE)
 
     def _refusal(self, pdu: bytes) -> ExceptionResponse | InvalidResponse:
-        """Some devices put the MEI type into their exceptions, before the code or behind it."""
+        """Return the error of a refusal: some devices put the MEI type before or after the code."""
         mei_type = self.encode()[1]
         if len(pdu) == 3 and pdu[0] == self.function | 0x80 and mei_type in pdu[1:]:
             return super()._refusal(pdu[:1] + (pdu[2:] if pdu[1] == mei_type else pdu[1:2]))
@@ -211,7 +211,7 @@ class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
         return bytes([*head, more, following, len(objects)]) + body
 
     def _answers(self, objects: dict[int, bytes]) -> bool:
-        """Return True if these were requested: any objects of a stream, or the single one."""
+        """Return True if the objects were requested: any objects of a stream, or the single one."""
         return self.code != ReadDeviceIdCode.INDIVIDUAL or list(objects) == [self.object_id]
 
     def _decode_misfit(self, pdu: bytes, length: int | None) -> IdentificationPage:
@@ -294,7 +294,7 @@ def identify(
 
 
 def _trouble(request: ReadDeviceIdentification, page: IdentificationPage) -> str:
-    """Return why reading cannot continue after this page; empty if it can, or need not."""
+    """Return why no further page can be read; empty if one can, or is not needed."""
     following = page.next_object
     if not page.complete:
         return "more objects are promised than came"

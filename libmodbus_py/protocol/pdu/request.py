@@ -148,7 +148,7 @@ IN_C: dict[LengthRule, tuple[int, int, int]] = {}
 
 
 def in_c(rule: LengthRule, byte_count_at: int, base: int = 0, at: int = 0) -> LengthRule:
-    """Note that C knows this rule, too."""
+    """Note that the C scanner has this rule, too."""
     if 0 <= base <= MAX_PDU and 0 <= at < MAX_PDU:
         IN_C[rule] = byte_count_at, base, at
     return rule
@@ -275,10 +275,10 @@ _mistaken: WeakSet[type[Request[Any]]] = WeakSet()
 
 
 def length_by(request: type[Request[Any]], rule: LengthRule, head: bytes) -> int | None:
-    """Return what a rule returns; `NO_LENGTH` if one of a program raises or returns nonsense."""
+    """Return the result of a rule; `NO_LENGTH` if a registered rule raises or is wrong."""
     if rule in IN_C:
         return rule(head)
-    # A mistake in one rule must not leave a line deaf for all other functions.
+    # A mistake in one rule must not stop all other functions of a line.
     try:
         length = rule(head)
         if length is None or (isinstance(length, int) and length >= 0):

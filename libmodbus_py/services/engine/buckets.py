@@ -28,7 +28,7 @@ class Change(NamedTuple):
 
 
 class Bucket:
-    """A key-value bucket, as `open_bucket` returns it."""
+    """A key-value bucket of NATS, as `open_bucket` returns it."""
 
     def __init__(self, js: JetStreamContext, keys: KeyValue, name: str) -> None:
         self._js = js

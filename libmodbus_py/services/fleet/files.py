@@ -216,7 +216,7 @@ class _Reader:
         if "journal" in content:
             keys["path"] = str(self._folder / content["journal"])
         elif keys:
-            raise WrongValue("journal", "is missing; keep and journal_size are about it")
+            raise WrongValue("journal", "is missing, but keep and journal_size need it")
         try:
             if keys:
                 Journal(**keys)

@@ -65,7 +65,7 @@ class LastValue(NamedTuple):
 
 class Poller(LineRequest):
     """
-    A device of a fleet: its current poll, its state, and what was reported of it.
+    A device of a fleet: its current poll, its state, and its reported values.
 
     `error` is the first of the last poll; None if all points were read. The fleet sets when the
     next poll begins (`at`), in the time of the event loop; and in seconds since the epoch, 0 at
@@ -95,7 +95,7 @@ class Poller(LineRequest):
         self.forget()
 
     def forget(self) -> None:
-        """Forget the state of the device, and what was reported of it."""
+        """Forget the state of the device, and its reported values."""
         self.state: DeviceState = DeviceState.NEW
         self.was_reported: bool = False  # with other keys, before the fleet was changed
         self.since: float = 0.0

@@ -37,7 +37,7 @@ class OutputStatistics:
     no_backlog_at: float = field(default_factory=time.monotonic, repr=False)
 
     def note_batch(self, count: int) -> None:
-        """Take note of how many readings are written next."""
+        """Note how many readings are written next."""
         if self.waiting <= count:
             self.no_backlog_at = time.monotonic()
 

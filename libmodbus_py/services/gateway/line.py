@@ -159,7 +159,7 @@ class ForwardedRequest(LineRequest):
         return submitted is not None and submitted.is_sent
 
     def answer(self, response: bytes | None) -> int:
-        """Pass the response to all that wait for it; return how many do not wait any more."""
+        """Pass the response to all requesters; return how many have left."""
         departures = 0
         for job in (self, *self.others):
             requester, job.requester = job.requester, None

@@ -69,13 +69,13 @@ class ShownGateway:
         self._clients = Clients()
 
     def note(self, frame: TracedFrame) -> None:
-        """Take what a trace is called with; quickly, because the gateway waits."""
+        """Note a traced frame; quickly, because the gateway waits."""
         self._log.note(frame)
         self._clients.note(frame)
         self._history.sample()  # whether a page is open or not
 
     def status(self) -> tuple[str, bool]:
-        """Return which lines are down, and which units answer nothing, or that there are none."""
+        """Return which lines are down, and which units are silent, or that there are none."""
         lines = self._lines()
         units = [(line, *entry) for line in lines for entry in line.units.copy().items()]
         down = [line.url.partition("?")[0] for line in lines if line.is_down]

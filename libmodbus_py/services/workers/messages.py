@@ -129,7 +129,7 @@ class CommandService:
         self._is_on = False
 
     def switch(self, is_on: bool) -> None:
-        """Take commands from now on, or none, not even those that were already received."""
+        """Accept commands from now on, or none, not even received ones."""
         self._is_on = is_on
         for task in () if is_on else self._tasks:
             task.cancel()

@@ -77,7 +77,7 @@ class Polling:
         # Set when a decision is needed.
         self._woken = asyncio.Event()
         self._leave_by = math.inf
-        # Set when the bucket must be watched anew; whether anything, and the whole, has arrived.
+        # Set if the bucket must be read again; whether a key, and whether all keys, have arrived.
         self._doubted = asyncio.Event()
         self._has_begun = self._is_whole = False
         self._active: Mapping[str, Connection] = {}

@@ -305,7 +305,7 @@ class BucketView:
         self.vanished = {**before.vanished, **self.vanished}
 
     def heard_until(self, member: Member) -> float:
-        """Return the time at which a worker is not heard any more unless it renews its lease."""
+        """Return the time at which a worker counts as dead unless it renews its lease."""
         return self.last_change(member.bucket_key).at + member.lease * HEARD_PART
 
     def is_heard(self, member: Member, now: float) -> bool:

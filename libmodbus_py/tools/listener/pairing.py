@@ -114,7 +114,7 @@ class Pairing:
         self._open.append(new)
 
     def answer(self, began: float, ended: float, frame: Frame) -> Ending | None:
-        """Take a response; return how it ended an open request, or None if it ended none."""
+        """Take a response; return how it ended an open request, or None if it ended no request."""
         if not frame.pdu[0] & 0x7F:
             self.misuse(began, ended, frame)
             return None

@@ -157,7 +157,7 @@ class Handler(BaseHTTPRequestHandler):
         self._answer(self._post)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Log nothing."""
+        """Log nothing, because HTTP requests are of no interest."""
 
     def end_headers(self) -> None:
         for name, value in HEADERS.items():

@@ -214,12 +214,12 @@ class Prober:
             self.context.close()
 
     def close(self) -> None:
-        """Let the request that is under way, and all others, fail at once."""
+        """Make the request in flight, and all later ones, fail at once."""
         self.is_closed = True
         self._close()
 
     def probe(self, unit: int) -> Answer | ModbusError:
-        """Send the probe to a unit; return its answer, or why there is none."""
+        """Send the probe to a unit; return its answer, or the error."""
         self._unit = unit
         start = self.waker.now()
         self._silent.add(unit)

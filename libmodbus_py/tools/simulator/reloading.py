@@ -57,7 +57,7 @@ class Reloader:
         self._task.cancel()
 
     def ask(self, of_others: Sequence[str] = ()) -> None:
-        """Read the file again, in the server's loop; `of_others` are lines about other files."""
+        """Read the file again, in the server's loop; `of_others`: lines about other files."""
         self._of_others = of_others
         self._demand.set()
 

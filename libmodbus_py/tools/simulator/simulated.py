@@ -146,7 +146,7 @@ class SimulatedDevice(Device):
         return self._definition == other._definition
 
     def take_state_of(self, before: SimulatedDevice) -> None:
-        """Take over values that clients wrote into ranges and queues alike in both files."""
+        """Keep values that clients wrote, in ranges and queues that both files describe alike."""
         self._movements.take_state_of(before._movements)
         self.diagnostic_register: int = before.diagnostic_register
         identities = {point.identity for point in before._contents}

@@ -74,7 +74,7 @@ def test_points_are_watched_at_their_intervals(meter: Meter, url: str, path: Pat
     assert [row.get("fell") for row in rows] == [None, ["energy"], None]
 
 
-def test_text_and_csv_tell_of_a_total_that_fell(meter: Meter, url: str, path: Path) -> None:
+def test_text_and_csv_mark_a_total_that_fell(meter: Meter, url: str, path: Path) -> None:
     watch = ("--watch", "0.01", "--count", "2")
     lines = run("read", url, "energy", "--map", path, *watch).out.splitlines()
     assert [line.partition("  ")[2] for line in lines] == ["energy=100 kWh", "energy=4 kWh (fell)"]

@@ -1,4 +1,4 @@
-"""The command map: what it says of files and makes of devices; and what sunspec prints of one."""
+"""The command map with files and with devices; and the output of sunspec for a device."""
 
 import os
 import signal
@@ -109,7 +109,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_it_writes_and_prints_the_same(folder: Path) -> None:
+def test_map_class_prints_a_class_and_writes_the_same_one_to_a_file(folder: Path) -> None:
     printed = run("map", "class", folder / "meter.csv")
     assert (printed.code, printed.err) == (0, "")
     assert "class Meter(" in printed.out
@@ -122,7 +122,7 @@ def test_it_writes_and_prints_the_same(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["toml", "csv"])
-def test_the_map_has_the_points_that_are_discovered(tmp_path: Path, suffix: str) -> None:
+def test_map_from_sunspec_writes_the_points_of_the_device(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"inverter.{suffix}"
     with sunspec_device(file_device("device_1547.json")) as url:
         result = run("map", "from-sunspec", url, "-o", str(path))

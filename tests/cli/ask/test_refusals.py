@@ -70,7 +70,7 @@ def test_the_longest_lists_of_values_are_written_and_read(url: str) -> None:
 
 
 @each_case("code", [6, 10, 11])
-def test_a_refusal_of_the_time_or_the_way_splits_nothing(maker: ServerMaker, tmp_path, code):
+def test_a_busy_device_or_a_broken_path_splits_no_request(maker: ServerMaker, tmp_path, code):
     (tmp_path / "two.csv").write_text("name,table,address\na,holding,0\nb,holding,1\n")
     server = maker(faults={None: [Fault("exception", code=code)]})
     assert run("read", server.url, "--map", tmp_path / "two.csv", "--retries", "0").code == 1
@@ -121,7 +121,7 @@ NO = IllegalFunction()
 
 @each_case("error", [SILENCE, CLOSED, NO, ExceptionResponse(code=200)])
 @each_case("at", [0, 1, 2])
-def test_a_question_that_fails_hides_no_other_answer(error: ModbusError, at: int) -> None:
+def test_a_failed_request_hides_no_other_answer(error: ModbusError, at: int) -> None:
     answers: list[Any] = [[("one", 1)], [("two", 2)]]
     answers.insert(at, error)
     questions = {str(number): question(answer) for number, answer in enumerate(answers)}

@@ -65,7 +65,7 @@ def test_a_failed_read_is_a_gap_with_its_reason() -> None:
     assert watch.status() == ("the device answers", False)
 
 
-def test_an_item_that_was_refused_from_the_start_has_a_row_with_the_reason() -> None:
+def test_an_item_that_was_refused_at_the_start_has_a_row_with_the_reason() -> None:
     watch = ShownWatch("meter", 1.0)
     refused = ReadResult(Item("holding_registers", 100, 1, word="hr"), [], {}, "illegal address")
     watch.print(1, [GOOD, refused], "")

@@ -104,7 +104,7 @@ FLOODS = {
 
 
 @pytest.mark.parametrize("data", FLOODS.values(), ids=FLOODS)
-def test_texts_of_hostile_servers_take_one_line_for_each_poll(data: bytes) -> None:
+def test_texts_of_hostile_servers_take_one_line_in_each_poll(data: bytes) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         end = threading.Event()
 

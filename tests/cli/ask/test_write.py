@@ -91,7 +91,7 @@ def test_a_terminal_says_what_was_written(url: str, meter: str, words: str, line
     assert run("write", url, *typed) == (0, "", "")
 
 
-def test_names_and_places_are_written_as_typed(url: str, meter: str) -> None:
+def test_names_and_addresses_are_written_in_the_order_typed(url: str, meter: str) -> None:
     words = "setpoint 1 holding 0 7 pump on setpoint 2"
     result = run("write", url, "--map", meter, *words.split(), "-v")
     assert result.code == 0, result.err
@@ -172,7 +172,7 @@ class Stubborn:
         ("hr 6 8 --count-from-1", ["hr 6: wrote 8, reads 7"]),
     ],
 )
-def test_verify_names_what_differs(words: str, lines: list[str]) -> None:
+def test_verify_names_the_values_that_differ(words: str, lines: list[str]) -> None:
     with FakeServer(Stubborn()) as server:
         result = run("write", f"127.0.0.1:{server.port}", *words.split(), "--verify")
     assert result.code == (1 if lines else 0)

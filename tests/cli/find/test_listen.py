@@ -61,7 +61,7 @@ def lines_of(process: Started, count: int) -> list[str]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_line_for_each_a_summary_and_a_capture(target: str, number: int, tmp_path: Path) -> None:
+def test_transactions_a_summary_and_a_capture_are_written(target: str, number: int, tmp_path: Path):
     file = tmp_path / "x.pcapng"
     with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--capture", file) as process:
         ask(url_of(process))
@@ -93,7 +93,7 @@ def test_a_line_for_each_a_summary_and_a_capture(target: str, number: int, tmp_p
     assert end["summary"]["units"]["1"]["functions"] == {"3": 2, "6": 1}
 
 
-def test_a_signal_right_behind_the_first_line_ends_it_well(target: str, monkeypatch) -> None:
+def test_a_signal_right_after_the_first_line_ends_listen_in_order(target: str, monkeypatch) -> None:
     def print_and_interrupt(text: object, **options: Any) -> None:
         print(text, **options)
         if str(text).startswith("listening on "):
@@ -106,7 +106,7 @@ def test_a_signal_right_behind_the_first_line_ends_it_well(target: str, monkeypa
 
 
 @pytest.mark.parametrize("handler", [signal.default_int_handler, signal.SIG_IGN])
-def test_a_signal_between_hearing_and_printing_loses_no_line(monkeypatch, handler) -> None:
+def test_a_signal_while_printing_loses_no_line(monkeypatch, handler) -> None:
     whole, next_transaction = listen(DECODED), Listener.__next__
 
     def hear_and_interrupt(line: Listener) -> Transaction:
@@ -195,7 +195,7 @@ def test_variables_forbid_colours(variables: dict[str, str], coloured: bool) -> 
     assert ("\x1b[33millegal" in text) == coloured
 
 
-def test_what_devices_say_cannot_move_the_terminal(target: str) -> None:
+def test_texts_of_devices_cannot_move_the_cursor_of_the_terminal(target: str) -> None:
     """Escape sequences in names of devices are shown, not sent."""
     device = Device(Mapping(1, 1, 1, 1), identification={0: b"\x1b[2J\x07", 1: b"\n", 2: b"\r"})
     with (
@@ -224,7 +224,7 @@ def points(tmp_path: Path) -> Path:
     return path
 
 
-def test_values_have_names_as_read_prints_them(target: str, points: Path, tmp_path: Path) -> None:
+def test_values_have_the_names_that_read_prints(target: str, points: Path, tmp_path: Path) -> None:
     file = tmp_path / "x.pcapng"
     with listening(
         "rtu+tcp://127.0.0.1:0", "--between", target, "--map", points, "--capture", file
@@ -259,7 +259,7 @@ def test_values_have_names_as_read_prints_them(target: str, points: Path, tmp_pa
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_what_a_master_asks_becomes_a_map(target: str, number: int, tmp_path: Path) -> None:
+def test_the_reads_of_a_master_become_a_map(target: str, number: int, tmp_path: Path) -> None:
     path = tmp_path / "asked.csv"
     with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--learn", path) as process:
         with Client(url_of(process), unit=1) as client:
@@ -280,7 +280,7 @@ def test_what_a_master_asks_becomes_a_map(target: str, number: int, tmp_path: Pa
     assert [*json.loads(read)["values"].values()] == [8, 9]
 
 
-def test_invalid_options_of_names(tmp_path: Path) -> None:
+def test_invalid_options_about_names_are_refused(tmp_path: Path) -> None:
     existing = tmp_path / "asked.csv"
     existing.write_text("mine")
     for arguments, message in (

@@ -61,7 +61,7 @@ def test_a_scan_prints_json_in_one_line(url: str) -> None:
     assert sum(row["requests"] for row in device["tables"].values()) <= 2000
 
 
-def test_what_deep_prints_is_a_device_file(url: str, tmp_path: Path) -> None:
+def test_the_output_of_deep_is_a_device_file(url: str, tmp_path: Path) -> None:
     result = run("scan", url, "--units", "3,7", "--deep")
     assert result.code == 0
     assert "up to 2000 requests to each unit found" in result.err
@@ -104,7 +104,7 @@ def test_values_without_deep_are_refused() -> None:
     assert "--values needs --deep" in result.err
 
 
-def test_the_end_says_what_was_tried_on_a_line() -> None:
+def test_the_last_line_says_what_was_tried_on_a_line() -> None:
     with simulated() as network:
         SimulatedBus(network, {})
         result = run("scan", "/dev/line", "--timeout", "20ms")
@@ -120,7 +120,7 @@ def test_the_end_says_what_was_tried_on_a_line() -> None:
     )
 
 
-def test_a_stopped_scan_says_only_what_was_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stopped_scan_reports_only_what_was_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     with simulated() as network:
         bus = SimulatedBus(network, {2: Member(of(Device(Mapping())), 19200)})
         hear = bus.hear
@@ -139,7 +139,7 @@ def test_a_stopped_scan_says_only_what_was_tried(monkeypatch: pytest.MonkeyPatch
     )
 
 
-def test_a_line_says_that_nothing_could_be_tried_and_json_is_printed() -> None:
+def test_a_port_that_refuses_every_setting_is_reported_and_json_is_printed() -> None:
     with refusing() as bound:
         result = run("scan", url_of(bound), "--json")
     assert result.code == 1
@@ -207,5 +207,5 @@ def test_a_scan_shows_its_progress_on_a_terminal() -> None:
         output = printed.read()
     assert "of 20 asked, 0 found" in text
     assert "left at most\x1b[K" in text
-    assert "\r\x1b[K" in text  # it is gone before anything else is said
+    assert "\r\x1b[K" in text  # the line is removed before other output
     assert output == b""

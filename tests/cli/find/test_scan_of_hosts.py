@@ -39,7 +39,7 @@ def test_a_range_has_its_hosts_and_port(text: str, count: int, first: str, port:
 
 
 @each_case("text", ["192.0.2.1", "/dev/ttyUSB0", "tcp://192.0.2.1", "plc/24", "rtu:///dev/x", ""])
-def test_other_places_are_no_range(text: str) -> None:
+def test_other_texts_are_no_range_of_hosts(text: str) -> None:
     assert host_range(text) is None
 
 
@@ -85,7 +85,7 @@ def test_a_quick_scan_asks_usual_units(port: str) -> None:
         (["-p", "even"], "9600 8E1:"),
     ],
 )
-def test_stop_bits_that_were_not_measured_are_not_said(words: list[str], setting: str) -> None:
+def test_a_scan_prints_no_stop_bits_that_it_did_not_measure(words: list[str], setting: str) -> None:
     with line({1: Device(Mapping(holding_registers=2))}) as wire:
         result = run("scan", wire.client, "-b", "9600", "-u", "1", *words)
     assert f"unit 1 at {setting}" in result.out
@@ -102,5 +102,5 @@ def test_stop_bits_that_were_not_measured_are_not_said(words: list[str], setting
         (["--quick", "-b", "4800"], "13 units at 2 settings, "),
     ],
 )
-def test_scan_of_a_line_takes_them(words: list[str], summary: str) -> None:
+def test_a_scan_of_a_line_accepts_its_options(words: list[str], summary: str) -> None:
     assert run("scan", "/dev/no-such", *words).err.startswith(summary)

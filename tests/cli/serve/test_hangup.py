@@ -127,7 +127,7 @@ def being_read(folder: Path, text: str) -> Iterator[None]:
 
 
 @NAMES
-def test_a_terminal_that_closes_ends_it(tmp_path: Path, name: str) -> None:
+def test_a_closed_terminal_ends_the_command(tmp_path: Path, name: str) -> None:
     with start(tmp_path, name) as command:
         command.hang_up()
         os.close(command.master)
@@ -145,7 +145,7 @@ def test_under_nohup_a_hangup_ends_no_command(tmp_path: Path, name: str) -> None
 
 
 @NAMES
-def test_what_it_reads_at_its_start_is_read_again(tmp_path: Path, name: str) -> None:
+def test_a_hangup_while_files_are_read_reads_them_again(tmp_path: Path, name: str) -> None:
     with start(tmp_path, name, "waiting") as command:
         with being_read(tmp_path, FILES[name]):
             command.process.send_signal(signal.SIGHUP)
@@ -154,7 +154,7 @@ def test_what_it_reads_at_its_start_is_read_again(tmp_path: Path, name: str) -> 
 
 
 @NAMES
-def test_a_terminal_that_closes_while_it_starts_ends_it(tmp_path: Path, name: str) -> None:
+def test_a_terminal_closed_during_the_start_ends_the_command(tmp_path: Path, name: str) -> None:
     with start(tmp_path, name, "waiting") as command:
         with being_read(tmp_path, FILES[name]):
             os.close(command.master)

@@ -80,7 +80,7 @@ def test_a_single_poll_goes_to_several_outputs(fleet: Path) -> None:
     assert result.err == ""
 
 
-def test_check_prints_a_table_and_what_is_too_much(fleet: Path) -> None:
+def test_check_prints_a_table_and_the_overloaded_lines(fleet: Path) -> None:
     text = fleet.read_text() + (
         '[[device]]\nname = "slow"\nurl = "rtu:///dev/nowhere?baudrate=1200"\ninterval = 0.05\n'
     )
@@ -109,7 +109,7 @@ def test_all_mistakes_in_devices_are_printed(fleet: Path) -> None:
     assert "device[3].url: " in second
 
 
-def test_it_is_said_how_a_list_of_devices_was_read(fleet: Path) -> None:
+def test_the_summary_says_how_a_list_of_devices_was_read(fleet: Path) -> None:
     rows = "Geräte;\nname;url\ndrei;tcp://127.0.0.1:1\n"
     (fleet.parent / "list.csv").write_bytes(rows.encode("cp1252"))
     fleet.write_text('devices = "list.csv"\nencoding = "cp1252"\n' + fleet.read_text())
@@ -119,7 +119,7 @@ def test_it_is_said_how_a_list_of_devices_was_read(fleet: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_with_a_summary(fleet: Path, number: signal.Signals) -> None:
+def test_a_signal_ends_the_poll_with_a_summary(fleet: Path, number: signal.Signals) -> None:
     with start(fleet) as polling:
         first = json.loads(polling.stdout.readline())
         assert first["device"] in ("one", "two", "gone")
@@ -133,7 +133,7 @@ def test_a_signal_ends_it_with_a_summary(fleet: Path, number: signal.Signals) ->
     assert output.endswith(" written, 0 dropped")
 
 
-def test_a_signal_while_all_wait_ends_it(tmp_path: Path) -> None:
+def test_a_signal_while_all_outputs_wait_ends_the_poll(tmp_path: Path) -> None:
     """For answers and for a connection, a minute each."""
     (tmp_path / "meter.csv").write_text(METER)
     path = tmp_path / "fleet.toml"
@@ -173,7 +173,7 @@ async def nothing(*_: object, **__: object) -> tuple[None, None]:
 
 
 @pytest.mark.parametrize("mode", [["--once"], ["--engine", "nats://127.0.0.1:1"]])
-def test_it_restores_the_signal_handlers_of_a_program(fleet: Path, monkeypatch, mode) -> None:
+def test_the_poll_restores_the_signal_handlers_of_a_program(fleet: Path, monkeypatch, mode) -> None:
     for name in ("engine.open_connection", "engine.disconnect", "_opened"):
         monkeypatch.setattr(f"{workers.__name__}.{name}", nothing)
     monkeypatch.setattr(workers, "Polling", NoPolling)
@@ -204,7 +204,7 @@ def test_each_reason_to_wait_for_the_engine_is_logged_once(monkeypatch, caplog) 
 
 
 @pytest.mark.parametrize("form", ["--json", "--csv"])
-def test_a_full_disk_is_one_line(fleet: Path, form: str) -> None:
+def test_a_full_disk_is_reported_in_one_line(fleet: Path, form: str) -> None:
     with open("/dev/full", "w") as full:
         result = run_forked("poll", fleet, form, stdout=full.fileno())
     assert result.code == 1
@@ -289,7 +289,7 @@ def test_a_journal_is_reported_at_the_end_and_used_by_one_program(fleet: Path) -
         ("journal = 'kept.db'\n", "/nowhere/at/all", "0 dropped, 1 wait in the journal: /nowhere"),
     ],
 )
-def test_an_output_that_takes_nothing_is_named(tmp_path_factory, journal, path, message) -> None:
+def test_an_output_that_accepts_nothing_is_named(tmp_path_factory, journal, path, message) -> None:
     folder = tmp_path_factory.mktemp("once")
     with ServerMaker() as maker:
         (folder / "fleet.toml").write_text(journal + FLEET_OF_ONE.format(url=maker().url))
@@ -299,4 +299,4 @@ def test_an_output_that_takes_nothing_is_named(tmp_path_factory, journal, path, 
     assert result.code == bool(message)
     assert message in result.err
     assert bool(result.err) == bool(message)
-    assert result.out.count("\n") == 2  # the other output got all
+    assert result.out.count("\n") == 2  # the other output got all readings

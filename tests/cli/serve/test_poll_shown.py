@@ -21,7 +21,7 @@ METER = "name,table,address,unit,scale\nlevel,holding_registers,0,m,0.1\n"
 @each_case(
     ("columns", "rows", "text"), [(80, 24, 9), (80, 6, 5), (80, 2, 1), (80, 1, 1), (3, 24, 9)]
 )
-def test_what_is_drawn_fits_the_terminal(monkeypatch, columns, rows, text) -> None:
+def test_the_drawing_fits_the_terminal(monkeypatch, columns, rows, text) -> None:
     size = os.terminal_size((columns, rows))
     monkeypatch.setattr("shutil.get_terminal_size", lambda: size)
     stream = io.StringIO()

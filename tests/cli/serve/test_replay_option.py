@@ -21,7 +21,7 @@ def capture(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_replay_is_the_same_and_an_empty_server_is_not(capture: Path) -> None:
+def test_a_capture_has_no_differences_from_its_replay(capture: Path) -> None:
     with serving("serve", "tcp://127.0.0.1:0", "--replay", capture) as (_, url):
         with Client(url) as client:
             assert client.read_holding_registers(107, 3) == [555, 0, 100]

@@ -63,7 +63,7 @@ def test_serve_reports_that_a_port_is_in_use(url: str) -> None:
     ],
 )
 @each_case("is_guarded", [True, False])
-def test_it_says_in_one_line_that_anyone_may_write(urls, count, is_guarded) -> None:
+def test_serve_says_in_one_line_that_anyone_may_write(urls, count, is_guarded) -> None:
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         announce(urls, is_guarded=is_guarded)
@@ -106,7 +106,7 @@ def test_a_gateway_has_the_units_that_were_typed(device: str) -> None:
         assert "gateway path unavailable (exception 10)" in result.err
 
 
-def test_sharing_a_device_takes_one_command(device: str) -> None:
+def test_one_gateway_command_shares_a_device_over_several_transports(device: str) -> None:
     schemes = ("tcp", "udp", "rtu+tcp")
     places = [f"{scheme}://127.0.0.1:0" for scheme in schemes]
     with serving("gateway", *places, "--to", f"{device}?timeout=2") as (process, first):

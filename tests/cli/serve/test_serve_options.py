@@ -28,7 +28,7 @@ def new_values(path: Path) -> list[Any]:
     return [event["changes"][0]["new"] for event in events if event["event"] == "write"]
 
 
-def test_a_rotated_file_is_left_on_hangup(command: list[str], tmp_path: Path) -> None:
+def test_a_renamed_audit_file_is_left_on_hangup(command: list[str], tmp_path: Path) -> None:
     path, before = tmp_path / "audit.json", tmp_path / "audit.json.1"
     with serving(*command, TCP, "--audit", path) as (process, url), Client(url) as plc:
         plc.write_register(0, 1)
@@ -80,7 +80,7 @@ SERVE = ("serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0")
 
 
 @pytest.mark.parametrize("where", ["file", "environment"])
-def test_a_token_that_was_given_opens_the_page_and_is_not_printed(where, tmp_path) -> None:
+def test_a_token_in_a_file_opens_the_page_and_is_not_printed(where, tmp_path) -> None:
     file = tmp_path / "token"
     file.write_text(f"{TOKEN}\n")
     file.chmod(0o600)
@@ -181,7 +181,7 @@ def test_one_line_reports_the_result_of_all_files(name: str, pki: Pki, tmp_path:
     options = [] if name == "poll" else [f"--{key}={value}" for key, value in own.items()]
     audit = [] if name == "poll" else ["--audit", str(trail)]
     with Started(name, *arguments, file, *options, *audit, *INFO) as process:
-        process.stdout.readline()  # where it listens, or the first poll
+        process.stdout.readline()  # the first line: the URL, or the first poll
         files.key.write_bytes(certificates.server(days=30).key_pem())
         lines = []
         for _ in range(2):

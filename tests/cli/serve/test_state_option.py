@@ -84,7 +84,7 @@ def test_a_file_that_cannot_be_created_is_logged_once(plant: Path) -> None:
     assert re.search(f"{text} are not kept", message)
 
 
-def test_it_is_written_at_the_end_though_the_server_failed(tmp_path: Path) -> None:
+def test_the_state_is_written_at_the_end_even_if_the_server_failed(tmp_path: Path) -> None:
     with serving(*SERVE, "--state", tmp_path / "first") as (_, url):
         result = run("serve", url, "--state", tmp_path / "state")
     assert result.code == 1

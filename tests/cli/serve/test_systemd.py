@@ -34,7 +34,7 @@ def manager(tmp_path: Path) -> Iterator[socket.socket]:
 
 
 @pytest.mark.parametrize("name", ["serve", "gateway", "poll"])
-def test_each_command_tells_that_it_serves(name, device: str, manager: socket.socket, tmp_path):
+def test_each_command_notifies_systemd(name, device: str, manager: socket.socket, tmp_path):
     (tmp_path / "fleet.toml").write_text(FLEET_OF_ONE.format(url=device))
     arguments = {
         "serve": ["tcp://127.0.0.1:0"],
@@ -60,7 +60,7 @@ def test_an_abstract_socket_is_notified_too(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.mark.parametrize("place", ["", "relative", "/nowhere/notify", "@nobody", "/" + "x" * 200])
-def test_a_manager_that_is_not_there_changes_nothing(place, monkeypatch) -> None:
+def test_a_missing_service_manager_changes_nothing(place, monkeypatch) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", place)
     before = os.listdir("/proc/self/fd")
     notify_ready()
@@ -80,7 +80,7 @@ def ids(path: Path) -> str:
 
 
 @pytest.mark.parametrize("unit", UNITS, ids=ids)
-def test_the_command_of_a_unit_is_one_of_ours(unit: Path) -> None:
+def test_each_command_in_a_unit_exists(unit: Path) -> None:
     read = configparser.ConfigParser(strict=False, interpolation=None)
     read.optionxform = str  # type: ignore[assignment, method-assign]
     read.read_string(unit.read_text())
@@ -201,7 +201,7 @@ def test_a_journal_is_never_written_to_by_others(fleet: Path, tmp_path: Path, um
 
 
 @pytest.mark.parametrize("umask", ["000", "077"])
-def test_a_state_is_of_its_owner_alone(tmp_path: Path, umask: str) -> None:
+def test_only_the_owner_can_read_a_state_file(tmp_path: Path, umask: str) -> None:
     state = tmp_path / "state"
     for value in (7, 8):
         command = ["serve", "tcp://127.0.0.1:0", "--state", str(state)]

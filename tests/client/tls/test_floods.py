@@ -20,7 +20,7 @@ from tests.support.reads import reads
 from tests.support.tls_clients import LONG, SOON, Serving, Talking, descriptors
 from tests.support.tls_peers import HANDSHAKE, Peer, Relay, Sealed, TlsServer
 
-# Of a flood that a client gives up: what it read, and what the system holds.
+# Bytes of a flood up to the end of a request: those read, and those in the system.
 MUCH = 30_000_000
 
 
@@ -64,7 +64,7 @@ def flooding(
 
 
 @pytest.mark.parametrize("kind", FLOODS)
-def test_a_flood_while_a_request_waits(
+def test_a_flood_while_a_request_waits_ends_with_the_timeout(
     connect: Connect, pki: Pki, serving: Serving, tmp_path: Path, kind: str
 ) -> None:
     with (
@@ -79,7 +79,7 @@ def test_a_flood_while_a_request_waits(
 
 
 @pytest.mark.parametrize("kind", FLOODS)
-def test_a_flood_while_nothing_is_asked(
+def test_a_flood_without_requests_is_bounded(
     connect: Connect, pki: Pki, serving: Serving, tmp_path: Path, kind: str
 ) -> None:
     with (
@@ -110,7 +110,7 @@ def small_buffers(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("small_buffers")
-def test_requests_are_sent_whole_and_in_order(talking: Talking) -> None:
+def test_requests_are_sent_complete_and_in_order(talking: Talking) -> None:
     """To a server that reads late and little by little."""
     count, frames = 300, []
 
@@ -131,7 +131,7 @@ def test_requests_are_sent_whole_and_in_order(talking: Talking) -> None:
 
 
 @pytest.mark.usefixtures("small_buffers")
-def test_a_request_behind_much_else_that_is_unsent(talking: Talking, tmp_path: Path) -> None:
+def test_a_request_after_much_unsent_data_is_sent(talking: Talking, tmp_path: Path) -> None:
     """The answers to changes of keys, which the server does not read for a while."""
     log, is_full = tmp_path / "keys", threading.Event()
 
@@ -154,7 +154,7 @@ def test_a_request_behind_much_else_that_is_unsent(talking: Talking, tmp_path: P
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_nonsense_of_the_server_is_a_modbus_error(
+def test_invalid_records_of_the_server_are_modbus_errors(
     connect: Connect, pki: Pki, serving: Serving, seed: int
 ) -> None:
     """One byte that it sends, in the handshake or after it, is changed, lost, doubled or added."""

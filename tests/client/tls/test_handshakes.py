@@ -56,7 +56,7 @@ def test_a_handshake_ends_with_the_timeout(connect: Connect, pki: Pki, talk) -> 
         plc.close()
 
 
-def test_a_slow_handshake_is_good_if_there_is_time(connect: Connect, pki: Pki, serving: Serving):
+def test_a_slow_handshake_succeeds_if_there_is_time(connect: Connect, pki: Pki, serving: Serving):
     def bytewise(data: bytes) -> Iterator[bytes]:
         for at in range(0, len(data), 7):
             time.sleep(0.0002)
@@ -88,7 +88,7 @@ def test_close_ends_a_handshake(connect: Connect, pki: Pki) -> None:
                 future.result(SOON)
 
 
-def test_a_handler_that_closes_in_the_handshake(pki: Pki) -> None:
+def test_a_signal_handler_may_close_the_client_in_a_handshake(pki: Pki) -> None:
     with raw(stalls) as url:
         plc = Client(url, security=pki.client(), timeout=60)
         before = descriptors()
@@ -111,8 +111,8 @@ def test_a_client_works_after_ctrl_c_in_the_handshake(pki: Pki, serving: Serving
         assert plc.read_holding_registers(5, 1) == [5]
 
 
-def test_closing_at_each_await_of_a_handshake(pki: Pki) -> None:
-    """No descriptor is left, no task, and what is opened next in its place is heard."""
+def test_cancelling_each_await_of_a_handshake_leaves_nothing(pki: Pki) -> None:
+    """No descriptor or task is left, and a descriptor that reuses the number works."""
 
     def bytewise(data: bytes) -> Iterator[bytes]:
         for at in range(0, len(data), 40):
@@ -177,7 +177,7 @@ def test_a_forked_child_leaves_the_connection_alone(pki: Pki) -> None:
         assert server.statistics.handshakes == 2
 
 
-def test_an_asyncio_client_that_ends_in_a_child_leaves_the_connection_alone(pki: Pki) -> None:
+def test_closing_an_asyncio_client_in_a_forked_child_leaves_the_connection_alone(pki: Pki) -> None:
     async def main(url: str) -> None:
         async with AsyncClient(url, timeout=LONG) as plc:
             await plc.write_register(0, 7)

@@ -1,4 +1,4 @@
-"""What goes over a connection of TLS, in whatever records, and how it ends."""
+"""The records of a TLS connection, and how it ends."""
 
 import socket
 import threading
@@ -31,7 +31,7 @@ def test_ec_and_rsa_keys_serve_in_both_versions(talking: Talking, pki: Pki, vers
     assert server.connections == 1
 
 
-def test_a_chain_with_an_intermediate(talking: Talking, pki: Pki) -> None:
+def test_a_chain_with_an_intermediate_authority_is_accepted(talking: Talking, pki: Pki) -> None:
     below = certificates.intermediate()
     own = {"security": pki.security(certificates.client(issuer=below))}
     with talking(identity=certificates.server(issuer=below), client=own) as (_, plc):
@@ -67,7 +67,7 @@ def many_in_one_record(peer: Peer) -> None:
 @pytest.mark.parametrize(
     "script", [one_byte_records, one_byte_segments, two_records_apart, many_in_one_record]
 )
-def test_records_say_nothing_about_frames(talking: Talking, version: str, script: Script) -> None:
+def test_frames_are_split_over_records_in_any_way(talking: Talking, version: str, script: Script):
     with talking(script, version=version) as (server, plc):
         assert [plc.read_holding_registers(number, 1) for number in range(3)] == echoes(3)
         assert plc.execute_many(reads(40)) == echoes(40)
@@ -133,7 +133,7 @@ def test_requests_wait_while_a_ticket_comes_in_pieces(talking: Talking, tmp_path
     assert server.connections == 1
 
 
-def test_the_trace_shows_what_is_inside(talking: Talking) -> None:
+def test_the_trace_shows_the_frames_inside_records(talking: Talking) -> None:
     frames: list[TracedFrame] = []
     states: list[State] = []
     callbacks = {"trace": frames.append, "on_state": lambda state, error: states.append(state)}
@@ -148,7 +148,7 @@ def test_the_trace_shows_what_is_inside(talking: Talking) -> None:
     assert states == [State.CONNECTING, State.CONNECTED, State.CLOSED]
 
 
-def test_an_answer_and_a_close_notify_together(talking: Talking) -> None:
+def test_an_answer_and_a_close_notify_together_are_received(talking: Talking) -> None:
     """
     The answer counts, and who waits for another one hears at once that there is none: TLS has
     ended, though TCP has not.
@@ -156,7 +156,7 @@ def test_an_answer_and_a_close_notify_together(talking: Talking) -> None:
     event = threading.Event()
 
     def script(peer: Peer) -> None:
-        if event.is_set():  # the others are sent once more
+        if event.is_set():  # the other requests are repeated
             assert len([peer.request() for _ in range(3)]) == 3
             return
         requests = [peer.request() for _ in range(4)]
@@ -171,7 +171,7 @@ def test_an_answer_and_a_close_notify_together(talking: Talking) -> None:
         assert "closed by the other side" in str(outcomes[1])
 
 
-def test_an_answer_and_an_alert_together(connect: Connect, pki: Pki, serving: Serving, tmp_path):
+def test_an_answer_with_an_alert_is_read(connect: Connect, pki: Pki, serving: Serving, tmp_path):
     """More requests wait to be sent, and cannot be any more."""
     log = tmp_path / "keys"
     sockets: list[socket.socket] = []
@@ -196,7 +196,7 @@ def test_an_answer_and_an_alert_together(connect: Connect, pki: Pki, serving: Se
     assert outcomes[-1] == [8]
 
 
-def test_a_connection_that_ends_within_a_record(talking: Talking) -> None:
+def test_a_connection_that_ends_within_a_record_is_lost(talking: Talking) -> None:
     def script(peer: Peer) -> None:
         peer.sock.sendall(peer.sealed(echo(peer.request()))[:20])
 

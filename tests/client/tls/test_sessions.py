@@ -20,13 +20,13 @@ from tests.support.tls_peers import Peer, Relay, TlsServer
 
 
 def once(peer: Peer) -> None:
-    """Answer one request, and say goodbye."""
+    """Answer one request, and send close notify."""
     peer.answer()
     peer.sock.sendall(peer.end())
 
 
 def abruptly(peer: Peer) -> None:
-    """Answer one request, and go without a word."""
+    """Answer one request, and close without close notify."""
     peer.answer()
 
 
@@ -44,7 +44,7 @@ def test_a_new_connection_resumes_the_session(talking: Talking, version: str, sc
     assert server.resumed == [False, True, True, True]
 
 
-def test_a_server_that_forgot_the_session(talking: Talking, pki: Pki, version: str) -> None:
+def test_a_server_may_forget_the_session(talking: Talking, pki: Pki, version: str) -> None:
     with talking(once, version=version) as (server, plc):
         for _ in range(3):
             ask_after_each_end(plc, server, 1)
@@ -104,7 +104,7 @@ def test_a_certificate_that_expired_meanwhile_is_not_resumed(
         monkeypatch.undo()
 
 
-def test_the_server_recognizes_clients_that_come_back(connect: Connect, pki: Pki) -> None:
+def test_the_server_recognizes_returning_clients(connect: Connect, pki: Pki) -> None:
     roles: list[str | None] = []
     device = Device(
         Mapping(holding_registers=10), before_write=lambda access: roles.append(access.role)
@@ -130,7 +130,7 @@ def unverified(pki: Pki) -> ssl.SSLContext:
     return context_
 
 
-def test_a_given_context_serves_several_connections(pki: Pki, connect: Connect) -> None:
+def test_one_ssl_context_serves_several_connections(pki: Pki, connect: Connect) -> None:
     security = GivenContext(context(pki, certificates.client()))
     device = Device(Mapping(holding_registers={7: [5579]}))
     with Server(device, security=pki.server()).background("tls://127.0.0.1:0") as running:
@@ -139,7 +139,7 @@ def test_a_given_context_serves_several_connections(pki: Pki, connect: Connect) 
                 assert plc.read_holding_registers(7, 1) == [5579]
 
 
-def test_an_own_context_may_trust_all_certificates(pki: Pki, connect: Connect) -> None:
+def test_an_ssl_context_may_trust_all_certificates(pki: Pki, connect: Connect) -> None:
     stranger = context_of(pki, certificates.self_signed(), verify_mode=ssl.CERT_NONE)
     with (
         TlsServer(stranger) as server,
@@ -159,8 +159,8 @@ def test_refusals_of_a_context_are_named(pki: Pki, connect: Connect) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_refusal_of_ours_names_no_certificate(pki: Pki, connect: Connect) -> None:
-    """No context says which one it shows."""
+def test_a_refusal_with_an_ssl_context_names_no_certificate(pki: Pki, connect: Connect) -> None:
+    """An SSLContext does not name its certificate."""
     security = GivenContext(context(pki))
     with (
         Server(Device(Mapping()), security=pki.server()).background("tls://127.0.0.1:0") as at,
@@ -179,11 +179,11 @@ WRONG: dict[str, tuple[Any, type[Exception]]] = {
 
 
 @pytest.mark.parametrize(("context_", "error"), WRONG.values(), ids=WRONG)
-def test_a_context_must_be_a_clients(context_: Any, error: type[Exception]) -> None:
+def test_an_ssl_context_must_be_for_clients(context_: Any, error: type[Exception]) -> None:
     with pytest.raises(error, match="context must be"):
         GivenContext(context_)
 
 
-def test_a_server_takes_security_only(pki: Pki) -> None:
+def test_a_server_accepts_no_ssl_context(pki: Pki) -> None:
     with pytest.raises(TypeError, match="security"):
         Server(Device(Mapping()), security=GivenContext(context(pki)))  # type: ignore[arg-type]

@@ -37,7 +37,7 @@ def ask(connect: Connect, url: str, security: Any, until: threading.Event | None
 
 
 def refusal(connect: Connect, server: TlsServer, security: Any) -> Any:
-    """Connect in vain; nothing of Modbus may go out, and nobody is asked twice."""
+    """Fail to connect; no Modbus frame may be sent, and no password asked for."""
     requests: list[bytes] = []
     server.script = lambda peer: requests.append(peer.read())
     with pytest.raises(ModbusConnectionError) as caught:
@@ -71,7 +71,7 @@ BAD: dict[str, tuple[Callable[[], Identity], str]] = {
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_a_bad_certificate_is_named_with_what_is_wrong(
+def test_a_bad_certificate_is_named_with_its_fault(
     connect: Connect, pki: Pki, serving: Serving, version: str, kind: str
 ) -> None:
     make, reason = BAD[kind]
@@ -141,7 +141,7 @@ def reachable_at(port: int, host: str) -> Iterator[str]:
         ("fe80::7%eth0", ("fe80::7",)),
     ],
 )
-def test_server_name_is_looked_for_instead_of_the_host(
+def test_the_server_name_is_compared_instead_of_the_host(
     connect: Connect, pki: Pki, serving: Serving, server_name: str, hosts: tuple[str, ...]
 ) -> None:
     own = certificates.client()
@@ -213,8 +213,8 @@ def refusing(context: ssl.SSLContext, is_abrupt: bool, sock: socket.socket) -> N
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
 
-def test_a_reset_behind_the_refusal_does_not_hide_it(connect: Connect, pki: Pki, serving: Serving):
-    """The request finds the connection gone; what the server said before is still to be read."""
+def test_a_refusal_before_a_reset_is_named(connect: Connect, pki: Pki, serving: Serving):
+    """The connection is gone at the request; the server's earlier message is still to be read."""
     own = certificates.client(issuer=foreign_authority())
     event = threading.Event()
 
@@ -246,7 +246,7 @@ def closing_behind(flights: int, context: ssl.SSLContext, sock: socket.socket) -
 
 
 @pytest.mark.parametrize(("flights", "is_suspected"), [(1, False), (2, True)])
-def test_a_tls_1_2_server_that_closes_behind_our_certificate(
+def test_a_tls_1_2_server_that_closes_after_our_certificate_is_named(
     connect: Connect, tmp_path: Path, flights: int, is_suspected: bool
 ) -> None:
     pki = Pki(tmp_path)
@@ -277,7 +277,7 @@ def test_a_tls_1_2_server_that_closes_behind_our_certificate(
         (b"", "closed by the other side"),
     ],
 )
-def test_an_error_names_another_server(connect: Connect, pki: Pki, says: bytes, text: str) -> None:
+def test_another_protocol_is_named(connect: Connect, pki: Pki, says: bytes, text: str) -> None:
     with (
         raw(lambda sock: sock.sendall(says if sock.recv(4096) else b"")) as url,
         pytest.raises(ModbusConnectionError, match=text) as caught,
@@ -294,7 +294,7 @@ def test_an_error_names_another_server(connect: Connect, pki: Pki, says: bytes, 
         (ssl.TLSVersion.TLSv1_2, "AES128-SHA", "no cipher in common"),
     ],
 )
-def test_a_server_with_too_old_a_version_or_cipher(
+def test_a_server_with_too_old_a_version_or_cipher_is_named(
     connect: Connect, pki: Pki, version: ssl.TLSVersion, ciphers: str, text: str
 ) -> None:
     context = context_of(pki, certificates.server(key=certificates.rsa_key()))

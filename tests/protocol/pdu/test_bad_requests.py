@@ -24,7 +24,7 @@ class TestBadRequests:
     """Section 6: length and quantity are refused with 3, before addresses with 2."""
 
     @each_case(("what", "exception", "text"), ROWS)
-    def test_server_must_answer_with(self, what, exception, text) -> None:
+    def test_a_server_answers_a_bad_request_with_the_exception(self, what, exception, text) -> None:
         request = decoded(text)
         assert request[0] == int(what[:2])
         if not exception:  # at the very limit
@@ -43,7 +43,7 @@ class TestBadRequests:
             assert caught.value.code == 1
             assert caught.value.function == code
 
-    def test_empty_pdu_is_the_callers_fault(self) -> None:
+    def test_an_empty_pdu_is_a_value_error(self) -> None:
         with pytest.raises(ValueError, match="pdu"):
             decode_request(b"")
 

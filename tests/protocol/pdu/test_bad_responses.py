@@ -21,7 +21,7 @@ every_request = each_case("request_", [request for request, _ in ALL])
 
 class TestBadResponses:
     @each_case(("request_", "good"), ANSWERED)
-    def test_cut_responses_are_invalid_and_the_error_shows_them(self, request_, good) -> None:
+    def test_truncated_responses_are_invalid_and_shown_in_the_error(self, request_, good) -> None:
         for end in range(len(good)):
             with pytest.raises(errors.InvalidResponse) as caught:
                 request_.decode_response(good[:end])
@@ -38,7 +38,7 @@ class TestBadResponses:
         request_.decode_response(good + b"\6")
 
     @each_case(("request_", "good"), ALL)
-    def test_other_function_is_invalid_and_the_error_names_the_request(self, request_, good):
+    def test_another_function_is_invalid_and_the_error_names_the_request(self, request_, good):
         for other in {0, *pdu.REQUESTS, 0x7F} - {request_.function}:
             with pytest.raises(errors.InvalidResponse) as caught:
                 request_.decode_response(bytes([other]) + good[1:])
@@ -46,18 +46,18 @@ class TestBadResponses:
             assert caught.value.function == request_.function
 
     @every_request
-    def test_refusal_of_another_function_is_invalid(self, request_: pdu.Request[Any]) -> None:
+    def test_a_refusal_of_another_function_is_invalid(self, request_: pdu.Request[Any]) -> None:
         for other in {*pdu.REQUESTS, 0, 0x7F} - {request_.function}:
             with pytest.raises(errors.InvalidResponse):
                 request_.decode_response(bytes([other | 0x80, 2]))
 
     @every_request
-    def test_refusal_of_other_length_is_invalid(self, request_: pdu.Request[Any]) -> None:
+    def test_a_refusal_of_another_length_is_invalid(self, request_: pdu.Request[Any]) -> None:
         for tail in (b"", b"\2\0", b"\2\0\0\0"):
             with pytest.raises(errors.InvalidResponse):
                 request_.decode_response(bytes([request_.function | 0x80]) + tail)
 
-    def test_refusal_keeps_its_code(self) -> None:
+    def test_a_refusal_has_its_code(self) -> None:
         kinds = {
             1: errors.IllegalFunction,
             2: errors.IllegalDataAddress,
@@ -130,7 +130,7 @@ class TestBadResponses:
             request_.decode_response(response)
 
     @each_case(("request_", "good"), [answer for answer in ANSWERED if answer[0].may_be_broadcast])
-    def test_every_byte_of_an_echo_counts(self, request_: pdu.Request[Any], good: bytes) -> None:
+    def test_a_wrong_byte_in_an_echo_is_invalid(self, request_: pdu.Request[Any], good: bytes):
         for at in range(1, len(good)):
             echo = bytearray(good)
             echo[at] ^= 1
@@ -144,7 +144,7 @@ class TestBadResponses:
         assert pdu.ReadCoils(0, 3).encode_response([True] * 3) == b"\1\1\7"
         assert pdu.WriteCoils(0, [True] * 9).encode()[-2:] == b"\xff\1"
 
-    def test_client_takes_more_from_files_than_a_server_may_send(self) -> None:
+    def test_a_client_accepts_longer_file_responses_than_a_server_may_send(self) -> None:
         """The table of section 6.14 ends at 245 bytes, the PDU at 251."""
         request = pdu.ReadFileRecords([(1, 0, 124)])
         response = request.encode_response([range(124)])

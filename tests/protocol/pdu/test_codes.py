@@ -45,7 +45,7 @@ def test_mei_types_have_the_codes_of_the_specification() -> None:
 
 class TestLengthRules:
     @each_case("vector", rows(FRAMES))
-    def test_a_length_is_known_from_the_head_and_right(self, vector: FrameVector) -> None:
+    def test_the_length_is_known_from_the_first_bytes(self, vector: FrameVector) -> None:
         rule = pdu.request_length if vector.kind == "request" else pdu.response_length
         lengths = [rule(vector.pdu[:end]) for end in range(1, len(vector.pdu) + 1)]
         right = len(vector.pdu) if tells_its_length(vector.pdu) else 0
@@ -56,20 +56,20 @@ class TestLengthRules:
     def test_every_exception_response_has_two_bytes(self, code: int) -> None:
         assert pdu.response_length(bytes([code])) == 2
 
-    def test_nothing_tells_the_length_of_unknown_functions(self) -> None:
+    def test_unknown_functions_have_no_length_rule(self) -> None:
         for code in set(range(256)) - set(pdu.REQUESTS):
             assert pdu.request_length(bytes([code, 0])) == 0
         for code in set(range(128)) - set(pdu.REQUESTS):
             assert pdu.response_length(bytes([code, 0])) == 0
 
     @pytest.mark.parametrize("rule", [pdu.request_length, pdu.response_length])
-    def test_diagnostics_tell_but_for_query_data(self, rule: Callable[[bytes], int | None]) -> None:
+    def test_diagnostics_have_a_length_rule(self, rule: Callable[[bytes], int | None]) -> None:
         assert rule(b"\x08") is rule(b"\x08\0") is None
         assert rule(b"\x08\0\0") == rule(b"\x08\0\0\1") == 0
         for sub_function in (1, 4, 0x14, 0x100, 0xFFFF):
             assert rule(b"\x08" + sub_function.to_bytes(2, "big")) == 5
 
-    def test_encapsulated_interfaces_tell_where_it_is_identification(self) -> None:
+    def test_encapsulated_interfaces_have_a_length_rule_for_identification(self) -> None:
         assert pdu.request_length(b"\x2b") is pdu.response_length(b"\x2b") is None
         for mei_type in set(range(256)) - {14}:
             head = bytes([0x2B, mei_type])
@@ -83,7 +83,7 @@ class TestLengthRules:
         assert pdu.response_length(b"\x18\0\x40") == 67
         assert pdu.response_length(b"\x18\1\0") == 259
 
-    def test_rules_for_classes_of_ones_own(self) -> None:
+    def test_registered_classes_have_their_own_length_rules(self) -> None:
         assert pdu.fixed(4)(b"") == 4
         assert pdu.counted(3, at=2)(b"ab") is None
         assert pdu.counted(3, at=2)(b"ab\5") == 8
@@ -113,18 +113,18 @@ READING = [
 CHANGING = [
     *(example for example in EXAMPLES if example.function in WRITES),
     *(pdu.Diagnostics(number) for number in (1, 3, 4, 10, 20)),
-    pdu.EncapsulatedTransport(13, b"\0"),  # only its two ends know what a CANopen message does
+    pdu.EncapsulatedTransport(13, b"\0"),  # the effect of a CANopen message is unknown
     pdu.RawRequest(100),
 ]
 
 
 @each_case("request_", [*READING, *CHANGING])
-def test_a_request_says_whether_it_changes_a_device(request_: pdu.Request[Any]) -> None:
+def test_a_request_class_states_whether_it_changes_a_device(request_: pdu.Request[Any]) -> None:
     assert request_.changes is (request_ in CHANGING)
     assert request_of(request_.encode()).changes is (request_ in CHANGING)
 
 
-def test_every_function_is_tried() -> None:
+def test_the_tests_above_use_every_function() -> None:
     assert {code.function for code in READING + CHANGING} == {*pdu.REQUESTS, 100}
 
 

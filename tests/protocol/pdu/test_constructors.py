@@ -121,7 +121,7 @@ class TestConstructors:
         assert pdu.Diagnostics(pdu.SubFunction.CLEAR_COUNTERS) == pdu.Diagnostics(10, b"\0\0")
         assert pdu.Diagnostics(10).encode() == b"\x08\0\x0a\0\0"
 
-    def test_only_force_listen_only_is_not_answered(self) -> None:
+    def test_only_force_listen_only_expects_no_answer(self) -> None:
         silent = [number for number in range(65536) if not pdu.Diagnostics(number).expects_response]
         assert silent == [pdu.SubFunction.FORCE_LISTEN_ONLY]
         assert all(request.expects_response for request in EXAMPLES)
@@ -144,7 +144,7 @@ class TestConstructors:
 
     @each_case("bad", NO_SEQUENCES, ids=repr)
     @each_case(("name", "limit", "make"), SEQUENCED)
-    def test_values_are_no_text_set_mapping_or_number(self, name, limit, make, bad) -> None:
+    def test_text_sets_mappings_and_numbers_are_no_values(self, name, limit, make, bad) -> None:
         with pytest.raises(TypeError, match=rf"^{name} must be a sequence of 1\.\.{limit} values"):
             make(0, bad)
 
@@ -212,7 +212,7 @@ class TestConstructors:
             with pytest.raises(TypeError, match=r"^records must be a sequence"):
                 kind(bad)
 
-    def test_file_pieces_fit_one_message(self) -> None:
+    def test_file_pieces_must_fit_into_one_message(self) -> None:
         """Section 6.14 and 6.15: what the PDU of 253 bytes holds, to the last register."""
         pdu.ReadFileRecords([(1, 0, 124)])
         pdu.ReadFileRecords([(1, 0, 1)] * 35)
@@ -228,7 +228,7 @@ class TestConstructors:
         with pytest.raises(ValueError, match=r"^records must hold 1\.\.27"):
             pdu.WriteFileRecords([(1, 0, [1])] * 28)
 
-    def test_requests_are_values(self) -> None:
+    def test_requests_are_equal_by_value_and_hashable(self) -> None:
         request = pdu.WriteRegisters(1, [1, 2])
         assert request == pdu.WriteRegisters(1, (1, 2))
         assert hash(request) == hash(pdu.WriteRegisters(1, (1, 2)))
@@ -237,13 +237,13 @@ class TestConstructors:
         with pytest.raises(AttributeError):
             request.address = 2  # type: ignore[misc]
 
-    def test_list_given_is_not_kept(self) -> None:
+    def test_a_list_passed_to_a_request_is_copied(self) -> None:
         values = [1, 2]
         request = pdu.WriteRegisters(1, values)
         values.append(3)
         assert request.values == (1, 2)
 
-    def test_text_names_the_arguments_and_stays_short(self) -> None:
+    def test_the_repr_names_the_arguments_and_stays_short(self) -> None:
         assert str(pdu.ReadCoils(3, 5)) == "ReadCoils(address=3, count=5)"
         assert len(str(pdu.WriteCoils(0, [True] * 1968))) < 200
         assert len(str(pdu.WriteFileRecords([(1, 0, [1])] * 27))) < 300

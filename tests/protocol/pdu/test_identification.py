@@ -24,7 +24,7 @@ class TestServerId:
         assert server_id == ServerId(b"a", None, b"bc\xffde")
         assert ServerId.split(b"abc\xffde", 3) == ServerId(b"abc", True, b"de")
 
-    def test_all_of_the_data_can_be_had_back(self) -> None:
+    def test_the_data_of_a_server_id_are_restored_from_its_parts(self) -> None:
         for data in (b"\xb4\xff", b"\xb4\0", b"\xb4\xff3.1.6", b"ACME", b"A\x01", bytes(251)):
             response = bytes([0x11, len(data)]) + data
             server_id = ReportServerId().decode_response(response)
@@ -33,13 +33,13 @@ class TestServerId:
             for length in range(len(data)):
                 assert ServerId.split(server_id.data, length).data == data
 
-    def test_only_00_and_ff_tell_whether_the_device_runs(self) -> None:
+    def test_only_00_and_ff_state_whether_the_device_runs(self) -> None:
         for byte in range(256):
             server_id = ServerId.split(bytes([0x01, byte, 0x02]))
             assert server_id.running is {0x00: False, 0xFF: True}.get(byte)
             assert server_id.additional == (b"\2" if byte in (0x00, 0xFF) else bytes([byte, 2]))
 
-    def test_split_takes_any_length_that_leaves_the_indicator(self) -> None:
+    def test_split_accepts_any_length_that_leaves_the_indicator(self) -> None:
         assert ServerId.split(b"\xff", 0) == ServerId(b"", True)
         assert ServerId.split(b"ab\xff", 2) == ServerId(b"ab", True)
         for data, length in ((b"", 0), (b"a", 1), (b"ab\xff", 3), (b"ab\xff", -1)):
@@ -91,13 +91,13 @@ class TestIdentification:
             ("extended", list(OBJECTS), [0, 2, 3, 4, 128, 129]),
         ],
     )
-    def test_stream_goes_over_as_many_pages_as_it_takes(self, level, numbers, objects) -> None:
+    def test_objects_are_split_into_as_many_pages_as_needed(self, level, numbers, objects) -> None:
         values, requests = served(OBJECTS, level)
         assert values == {number: OBJECTS[number] for number in numbers}
         assert list(values) == numbers
         assert requests == objects
 
-    def test_what_fits_to_the_byte_is_on_the_page(self) -> None:
+    def test_a_page_is_filled_to_the_last_byte(self) -> None:
         request = ReadDeviceIdentification(1)
         full = {0: bytes(120), 1: bytes(122)}
         assert pages(request, full) == IdentificationPage(0, None, full)
@@ -108,12 +108,12 @@ class TestIdentification:
         ("code", "unknown"),
         [(1, [3, 4, 6, 7, 128, 255]), (2, [5, 7, 127, 128, 255]), (3, [5, 7, 130, 254])],
     )
-    def test_unknown_object_starts_the_stream_over(self, code: int, unknown: list[int]) -> None:
+    def test_an_unknown_object_restarts_from_the_first(self, code: int, unknown: list[int]) -> None:
         first = pages(ReadDeviceIdentification(code, 0), OBJECTS)
         for number in unknown:
             assert pages(ReadDeviceIdentification(code, number), OBJECTS) == first
 
-    def test_a_known_object_is_the_first_of_the_stream(self) -> None:
+    def test_a_page_begins_with_the_requested_object(self) -> None:
         for code, last in LAST_OBJECT.items():
             for number in OBJECTS:
                 if number <= last:
@@ -121,7 +121,7 @@ class TestIdentification:
                     assert next(iter(page.objects)) == number
                     assert min(page.objects) == number
 
-    def test_single_object_is_asked_for_once(self) -> None:
+    def test_a_single_object_is_requested_once(self) -> None:
         for number in (0, 6, 200, 255):
             steps = identify(number)
             assert next(steps) == ReadDeviceIdentification(4, number)
@@ -141,7 +141,7 @@ class TestIdentification:
             ([(5, {}), (3, {})], [0, 5]),
         ],
     )
-    def test_device_that_leads_in_circles_is_invalid(self, pages_, numbers) -> None:
+    def test_a_device_whose_next_object_repeats_is_invalid(self, pages_, numbers) -> None:
         steps = identify("regular")
         requests = [next(steps)]
         *good, bad = pages_
@@ -155,7 +155,7 @@ class TestIdentification:
 
     @each_case("level", ["basic", "regular", "extended"])
     @each_case("following", [0, 1, 2])
-    def test_circles_are_left_with_what_every_device_has(self, level: str, following: int) -> None:
+    def test_a_repeated_next_object_ends_a_basic_identification(self, level: str, following: int):
         steps = identify(level)
         next(steps)
         assert steps.send(IdentificationPage(2, 2, {0: b"a", 1: b"b"})).object_id == 2
@@ -165,7 +165,7 @@ class TestIdentification:
         assert stop.value.value == identification
 
     @pytest.mark.parametrize("next_object", [None, 3])
-    def test_page_that_promises_more_than_a_message_holds_gives_what_came(self, next_object):
+    def test_a_page_that_claims_more_objects_than_it_has_returns_those_it_has(self, next_object):
         request = ReadDeviceIdentification(2)
         more, following = (0, 0) if next_object is None else (0xFF, next_object)
         objects = b"\0\1a" + b"\1\1b" + b"\2\1c" + b"\3\xff"
@@ -188,7 +188,7 @@ class TestIdentification:
 
     @each_case("mei_type", [13, 14])
     @each_case("code", [1, 2, 4])
-    def test_mei_type_in_an_exception_is_not_its_code(self, mei_type: int, code: int) -> None:
+    def test_a_mei_type_in_an_exception_is_not_taken_for_the_code(self, mei_type: int, code: int):
         identification = ReadDeviceIdentification(1)
         request = identification if mei_type == 14 else EncapsulatedTransport(13, b"")
         for tail in (bytes([mei_type, code]), bytes([code, mei_type])):
@@ -200,7 +200,7 @@ class TestIdentification:
             with pytest.raises(InvalidResponse):
                 request.decode_response(b"\xab" + tail)
 
-    def test_any_device_comes_to_an_end(self) -> None:
+    def test_an_identification_ends_after_at_most_256_requests(self) -> None:
         """The ids only rise, so no device has a client ask more than 256 times."""
         steps = identify("extended")
         next(steps)
@@ -256,7 +256,7 @@ def test_the_next_object_counts_only_if_more_follow(more, following, number) -> 
     assert result == pdu.IdentificationPage(0x81, number, {0: b"a"})
 
 
-def test_an_object_that_comes_twice_or_was_not_asked_for_is_refused() -> None:
+def test_repeated_or_unrequested_objects_are_refused() -> None:
     with pytest.raises(InvalidResponse, match="object 0 twice"):
         pdu.ReadDeviceIdentification(1).decode_response(page((0, b"a"), (0, b"b")))
     with pytest.raises(InvalidResponse, match=r"objects \[4\]"):

@@ -67,7 +67,7 @@ class Changed(Doubled):
         (Changed(), "Changed()", {"name": "Changed"}, "changed"),
     ],
 )
-def test_a_request_that_is_no_dataclass_is_shown(request_, text, fields, words) -> None:
+def test_a_request_class_that_is_no_dataclass_has_a_repr(request_, text, fields, words) -> None:
     assert str(request_) == text
     assert plain(request_) == fields
     assert request_words(request_) == words
@@ -76,7 +76,7 @@ def test_a_request_that_is_no_dataclass_is_shown(request_, text, fields, words) 
 
 
 class TestRegister:
-    def test_registered_class_is_known_to_both_ends(self, doubled: type[Doubled]) -> None:
+    def test_a_registered_class_is_used_at_both_ends(self, doubled: type[Doubled]) -> None:
         request = doubled((1, 2))
         assert decode_request(request.encode()) == request
         assert pdu.request_length(b"\x41\4") == pdu.response_length(b"\x41\4") == 6
@@ -84,7 +84,7 @@ class TestRegister:
         assert request.decode_response(response) == [1, 1, 2, 2]
         assert str(request) == "Doubled(values=(1, 2))"
 
-    def test_its_errors_are_those_of_any_class(self, doubled: type[Doubled]) -> None:
+    def test_errors_of_a_registered_class_are_those_of_any_class(self, doubled: type[Doubled]):
         with pytest.raises(IllegalDataValue):
             decode_request(b"\x41\1\0")
         with pytest.raises(IllegalDataValue):
@@ -96,16 +96,16 @@ class TestRegister:
             with pytest.raises(InvalidResponse):
                 doubled((1,)).decode_response(bad)
 
-    def test_unknown_until_then_and_afterwards(self) -> None:
+    def test_a_function_is_unknown_before_and_after_the_registration(self) -> None:
         for _ in range(2):
             with pytest.raises(IllegalFunction):
                 decode_request(b"\x41\0")
-            assert pdu.register(Doubled) is Doubled  # as a decorator gives it
+            assert pdu.register(Doubled) is Doubled  # a decorator returns the class
             assert pdu.register(Doubled) is Doubled  # once more does no harm
             assert decode_request(b"\x41\0") == Doubled(())
             pdu.REQUESTS.pop(0x41)
 
-    def test_taken_function_is_refused(self, doubled: type[Doubled]) -> None:
+    def test_a_function_that_is_already_registered_is_refused(self, doubled: type[Doubled]) -> None:
         classes = dict(pdu.REQUESTS)
         for code in pdu.REQUESTS:
             other = type("Other", (Doubled,), {"function": code, "__slots__": ()})
@@ -114,7 +114,7 @@ class TestRegister:
         assert classes == pdu.REQUESTS
 
     @each_case("code", [0, 128, 255, -1, "65", None])
-    def test_function_is_a_code(self, code: Any) -> None:
+    def test_the_function_of_a_class_must_be_a_code(self, code: Any) -> None:
         other = type("Other", (Doubled,), {"function": code, "__slots__": ()})
         with pytest.raises(ValueError, match=r"^Other: function must be in 1\.\.127"):
             pdu.register(other)
@@ -130,7 +130,7 @@ class TestRegister:
             pdu.register(bad)
 
     @each_case("code", [9, 18, 65, 72, 100, 110, 127])
-    def test_any_free_code_will_do(self, code: int) -> None:
+    def test_any_free_code_can_be_registered(self, code: int) -> None:
         other = type("Other", (Doubled,), {"function": code, "__slots__": ()})
         assert pdu.register(other) is other
         try:
@@ -140,7 +140,7 @@ class TestRegister:
 
 
 class TestRawRequest:
-    def test_data_go_and_come_as_they_are(self) -> None:
+    def test_raw_data_are_sent_and_returned_unchanged(self) -> None:
         for function in range(1, 128):
             request = RawRequest(function, b"\0\xff")
             assert request.encode() == bytes([function, 0, 0xFF])
@@ -174,12 +174,12 @@ class Padded(pdu.ReadHoldingRegisters):
         return super()._decode_response(pdu[: 2 + pdu[1]])
 
 
-def test_a_class_decodes_what_is_as_long_as_the_specification_says() -> None:
+def test_a_class_decodes_responses_of_the_specified_length() -> None:
     assert Signed(0, 1).decode_response(bytes.fromhex("03 02 FFFE")) == [-2]
     assert Signed(107, 3).decode_response(RESPONSE) == [555, 0, 100]
 
 
-def test_a_length_of_its_own_is_the_only_one() -> None:
+def test_a_class_with_its_own_length_refuses_the_specified_length() -> None:
     assert Padded(107, 3).decode_response(RESPONSE + bytes(4)) == [555, 0, 100]
     with pytest.raises(InvalidResponse):
         Padded(107, 3).decode_response(RESPONSE)
@@ -190,7 +190,7 @@ class Unfinished(Request[None]):
     request_length = response_length = pdu.fixed(2)
 
 
-def test_a_class_without_its_coding_is_an_error() -> None:
+def test_a_class_without_an_encoder_or_decoder_is_an_error() -> None:
     with pytest.raises(NotImplementedError):
         Unfinished().encode()
     with pytest.raises(NotImplementedError):

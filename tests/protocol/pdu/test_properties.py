@@ -141,7 +141,7 @@ class TestProperties:
 
     @settings(max_examples=30)
     @given(identifications, st.sampled_from(["basic", "regular", "extended"]))
-    def test_any_identification_arrives_whole(self, objects: dict[int, bytes], level: str) -> None:
+    def test_any_identification_is_read_as_it_was(self, objects: dict[int, bytes], level: str):
         last = LAST_OBJECT[pdu.interface.LEVELS[level]]
         values = {number: value for number, value in objects.items() if number <= last}
         assert served(objects, level)[0] == values

@@ -45,7 +45,7 @@ def _result_of(response: FrameVector) -> Any:
 
 
 class TestWorkedExamples:
-    def test_there_is_one_of_every_function(self) -> None:
+    def test_each_function_has_a_worked_example(self) -> None:
         for vectors in (REQUESTS, RESPONSES):
             assert {vector.function for vector in vectors} == set(FROM_FIELDS) == set(pdu.REQUESTS)
 
@@ -117,7 +117,7 @@ class TestEncodeResponse:
             (pdu.ReportServerId(), pdu.ServerId(bytes(250), True, b"a"), ValueError),
         ],
     )
-    def test_result_must_be_what_was_asked_for(self, request_, result, error) -> None:
+    def test_a_result_must_match_the_request(self, request_, result, error) -> None:
         with pytest.raises(error, match="result"):
             request_.encode_response(result)
 
@@ -166,6 +166,6 @@ class TestEncodeResponse:
         ):
             assert len(request.encode_response(result)) == size
 
-    def test_empty_queue_is_a_queue(self) -> None:
+    def test_an_empty_queue_is_a_valid_result(self) -> None:
         assert pdu.ReadFifoQueue(0).encode_response([]) == b"\x18\0\2\0\0"
         assert pdu.ReadFifoQueue(0).decode_response(b"\x18\0\2\0\0") == []

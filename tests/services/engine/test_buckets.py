@@ -13,7 +13,7 @@ from tests.support.cases import each_case
 
 
 @with_engine
-async def test_a_watch_that_could_not_begin_gets_no_events(
+async def test_a_watch_that_fails_at_its_beginning_gets_no_events(
     engine: Engine, client: EngineClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begin = engine.begin_consumer
@@ -30,7 +30,7 @@ async def test_a_watch_that_could_not_begin_gets_no_events(
 
 
 @with_engine
-async def test_contents_from_a_server_that_lags_behind_are_complete_with_their_last_key(
+async def test_the_contents_of_a_slow_server_are_complete_with_their_last_key(
     engine: Engine, client: EngineClient
 ) -> None:
     engine.write("a", b"1")
@@ -57,12 +57,12 @@ async def test_an_empty_bucket_is_complete_at_once(engine: Engine, client: Engin
 
 
 @with_engine
-async def test_a_write_that_was_answered_too_late_is_not_done_again(
+async def test_a_write_whose_answer_came_too_late_is_not_repeated(
     engine: Engine, client: EngineClient
 ) -> None:
     bucket = engine.bucket(client)
     revision = await bucket.put("a", b"1", 0)
-    for last in (0, revision + 7):  # no such key, or another revision
+    for last in (0, revision + 7):  # a missing key, or another revision
         assert await bucket.put("a", b"9", last) == 0
     engine.delay, usual = (1.5, 1.5), engine.delay
     with pytest.raises(EngineGone, match="no answer"):
@@ -122,11 +122,11 @@ def watched(
         ([message(1, 5), message(2, 6, value=b"")], [(b"1", 5), None, (None, 6)], 0),
         ([message(1, 5), message(1, 5), message(2, 6)], [(b"1", 5), None], 1),  # twice
         ([message(1, 5), message(3, 7), message(2, 6)], [(b"1", 5), None], 1),  # late
-        ([message(2, 5)], [], 1),  # the first one was lost
+        ([message(2, 5)], [], 1),  # the first message was lost
         ([message(1, 5), message(2, 4), message(2, 4)], [(b"1", 5), None, (b"1", 4)], 1),
     ],
 )
-def test_a_change_that_comes_twice_or_too_late_is_a_gap_and_ends_the_watch(
+def test_a_repeated_or_late_change_ends_the_watch(
     messages: list[Any], contents: list[Any], gaps: int
 ) -> None:
     watch, changes, missed = watched("a", messages)

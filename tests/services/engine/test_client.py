@@ -112,7 +112,7 @@ GOOD = b"MSG modbus.write.pump.level 1 2\r\nok\r\n"
     ],
     ids=lambda message: repr(message[:30]),
 )
-async def test_a_malformed_message_costs_no_other(message: bytes) -> None:
+async def test_a_malformed_message_affects_no_other_message(message: bytes) -> None:
     """Any client may send it to the subjects of commands, and all workers receive it."""
 
     async with subscribed() as (server, client, messages):
@@ -147,14 +147,14 @@ async def test_after_an_error_of_the_server_the_client_connects_again(line: byte
         await until(lambda: messages)
 
 
-async def test_a_permission_that_is_missing_ends_no_connection() -> None:
+async def test_a_missing_permission_ends_no_connection() -> None:
     async with subscribed() as (server, _, messages):
         server.say(b"-ERR 'Permissions Violation for Publish to \"x\"'\r\n" + GOOD)
         await until(lambda: messages)
         assert len(server.heard) == 1
 
 
-async def test_a_greeting_that_cannot_be_read_is_followed_by_another_attempt() -> None:
+async def test_an_invalid_greeting_is_followed_by_another_attempt() -> None:
     """nats-py ends its attempts at an exception that it does not know, and stays lost for ever."""
 
     def greet(number: int) -> tuple[dict[str, Any], None]:
@@ -175,7 +175,7 @@ MALFORMED = [
 ]
 
 
-async def test_a_real_server_passes_malformed_messages_on_over_one_connection() -> None:
+async def test_malformed_messages_through_a_real_server_keep_the_connection() -> None:
     messages: list[bytes] = []
 
     async def note(message: Any) -> None:

@@ -116,7 +116,7 @@ def test_an_option_or_a_url_switches_tls_on(client: type[Client], tmp_path: Path
     assert "tls" in connect(NATS_CERT=str(one.cert), NATS_KEY=str(one.key)).options
 
 
-def test_a_file_that_is_not_there_is_named(client: type[Client]) -> None:
+def test_a_missing_file_is_named(client: type[Client]) -> None:
     text = refused(client, NATS_CA="/nowhere/ca.pem")
     assert text.startswith("NATS_CA, NATS_CERT, NATS_KEY: /nowhere/ca.pem: No such file")
     assert client.made == []
@@ -171,7 +171,7 @@ def test_a_cancelled_connect_closes_its_client(client: type[Client]) -> None:
         (",".join(["nats://a"] * MOST_SERVERS), ["nats://a"] * MOST_SERVERS),
     ],
 )
-def test_servers_are_read(text: str, servers: list[str]) -> None:
+def test_servers_are_parsed(text: str, servers: list[str]) -> None:
     assert parse_servers(text) == servers
 
 
@@ -182,7 +182,7 @@ def test_servers_are_read(text: str, servers: list[str]) -> None:
         *("nats://a/path", "nats://a:0", "nats://a:65536", "nats://a:x"),
     ],
 )
-def test_a_peer_that_is_no_nats_server_is_refused(text: str) -> None:
+def test_a_url_without_a_server_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="engine"):
         parse_servers(text)
 
@@ -239,7 +239,7 @@ async def fails(line: bytes, closes: bool, patience: float) -> str:
 
 
 @pytest.mark.parametrize("closes", [False, True], ids=["stays", "closes"])
-def test_a_connection_that_ends_before_it_began_leaves_no_descriptor_open(monkeypatch, closes):
+def test_a_connection_that_ends_in_its_handshake_leaves_no_descriptor_open(monkeypatch, closes):
     """If nats-py notices it, or a caller that connects waits no longer."""
     monkeypatch.setattr(connection, "TIMEOUT", 0.5)
     monkeypatch.setitem(TIMES, "connect_timeout", 0.5)

@@ -55,7 +55,7 @@ async def late(request: bytes) -> bytes:
     ids=lambda f: f.__name__,
 )
 @in_simulated_time
-async def test_a_device_of_bad_manners_costs_others_nothing(manners: Any) -> None:
+async def test_a_misbehaving_device_does_not_affect_others(manners: Any) -> None:
     async with Peer(manners) as bad, Peer() as well:
         devices = [
             meter("bad", f"{bad.url}?timeout=0.1&max_pause=0.1"),
@@ -63,7 +63,7 @@ async def test_a_device_of_bad_manners_costs_others_nothing(manners: Any) -> Non
         ]
         async with polling(*devices) as (fleet, readings):
             await until(lambda: len(bad.requests) >= 3 and len(well.requests) >= 25)
-            # Nothing wrong is taken for a value.
+            # No damaged answer is taken for a value.
             values = {reading[2:6] for reading in readings if reading.quality == "good"}
             assert values == {
                 ("voltage", 0.7, "V", "good"),
@@ -78,7 +78,7 @@ async def test_a_device_of_bad_manners_costs_others_nothing(manners: Any) -> Non
 
 
 @in_simulated_time
-async def test_a_clock_that_is_set_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_setting_the_clock_shifts_no_poll(monkeypatch: pytest.MonkeyPatch) -> None:
     network = NETWORK.get()
     now = network.time_of_day
     async with Peer() as peer:
@@ -116,7 +116,7 @@ async def test_run_may_be_cancelled_at_any_time(turns: int) -> None:
             await until(lambda: fleet.statistics.up == 8)
 
 
-async def test_a_fork_leaves_the_parent_alone() -> None:
+async def test_a_fork_does_not_affect_the_parent() -> None:
     async with real_peer() as peer:
         devices = [meter(f"{unit}", peer.url, unit=unit) for unit in range(1, 6)]
         async with polling(*devices) as (fleet, _):

@@ -13,7 +13,7 @@ def poll(time: float, count: int = 1, device: str = "meter") -> list[Reading]:
     return [Reading(time, device, f"p{at}", at, "", "good") for at in range(count)]
 
 
-def test_a_buffer_has_a_size_that_is_promised() -> None:
+def test_a_buffer_keeps_up_to_the_given_number_of_readings() -> None:
     buffer = Buffer()
     buffer.put_readings(poll(1.0) * 100_001)
     assert (len(buffer), buffer.dropped) == (100_000, 1)

@@ -110,7 +110,7 @@ class Devices:
 
 
 @in_simulated_time
-async def test_a_command_waits_for_the_one_before_and_for_no_other_device() -> None:
+async def test_a_command_waits_for_the_previous_one_and_for_no_other_device() -> None:
     devices = Devices()
     commands = Commands(devices)
 
@@ -132,7 +132,7 @@ async def test_a_command_waits_for_the_one_before_and_for_no_other_device() -> N
 
 
 @in_simulated_time
-async def test_a_command_that_waited_is_refused_if_its_device_is_gone_then() -> None:
+async def test_a_waiting_command_is_refused_if_its_device_was_removed() -> None:
     devices = Devices()
     commands = Commands(devices)
     tasks = [asyncio.create_task(commands.answer("pump", "level", value)) for value in (b"1", b"2")]
@@ -148,7 +148,7 @@ async def test_a_command_that_waited_is_refused_if_its_device_is_gone_then() -> 
 
 
 @in_simulated_time
-async def test_a_write_that_is_repeated_is_not_overtaken_by_the_next() -> None:
+async def test_the_repetition_of_a_write_is_not_overtaken_by_the_next_write() -> None:
     """The first attempt gets no answer: the device must hear 20, 20 and then 25."""
     values: list[int] = []
 
@@ -171,7 +171,7 @@ async def test_a_write_that_is_repeated_is_not_overtaken_by_the_next() -> None:
 
 
 @in_simulated_time
-async def test_commands_beyond_those_that_may_wait_are_refused_until_others_end() -> None:
+async def test_commands_beyond_the_limit_are_refused() -> None:
     devices = Devices()
     commands = Commands(devices)
 

@@ -15,7 +15,7 @@ from tests.support.golden import Refused
 
 
 @each_case(("key", "low", "high"), [("gap", 0, 2000), ("max_registers", 1, 125)])
-def test_the_ends_of_the_range_of_a_key_are_within(key: str, low: int, high: int) -> None:
+def test_both_ends_of_a_range_are_valid(key: str, low: int, high: int) -> None:
     points = RegisterMap([Point("power", "holding_registers", 0)])
     for value in (low, high):
         options: dict[str, Any] = {key: value}
@@ -27,7 +27,7 @@ def test_the_ends_of_the_range_of_a_key_are_within(key: str, low: int, high: int
             DeviceConfig("meter", "tcp://192.0.2.1", points, **options)
 
 
-def test_an_unknown_item_is_answered_with_eight_names() -> None:
+def test_an_unknown_item_is_answered_with_eight_names_that_exist() -> None:
     many = RegisterMap([Point(f"p{at}", "holding_registers", at) for at in range(9)])
     listed = "it has p0, p1, p2, p3, p4, p5, p6, p7, \\.\\.\\.$"
     with pytest.raises(ValueError, match=rf"items\[0\]: the map has no point 'level' .*{listed}"):
@@ -36,7 +36,7 @@ def test_an_unknown_item_is_answered_with_eight_names() -> None:
     assert given_twice.items == ("p1", "p0")
 
 
-def test_labels_that_prometheus_refuses_or_mixes(refused: Refused) -> None:
+def test_labels_that_prometheus_refuses_or_merges_are_invalid(refused: Refused) -> None:
     refused("wrong_labels.txt", lambda labels: meter("a", "tcp://127.0.0.1", labels=labels))
 
 
@@ -56,7 +56,7 @@ SAME = [
 
 
 @each_case(("one", "other"), SAME)
-def test_two_spellings_of_a_url_are_one_connection(one: str, other: str) -> None:
+def test_two_spellings_of_a_url_share_one_connection(one: str, other: str) -> None:
     assert parse(one).key == parse(other).key
     same = [meter("a", one), meter("b", other, unit=2)]
     assert same[0].connection_key == same[1].connection_key
@@ -69,7 +69,7 @@ def settings(keys: dict[str, Any]) -> FleetSettings:
     return FleetSettings(**ENGINE.read(("engine",), keys))
 
 
-def test_settings_of_workers_have_defaults() -> None:
+def test_settings_of_workers_have_default_values() -> None:
     assert settings({}) == FleetSettings(10.0, "stop", False, 86_400.0, 1 << 30)
     keys = {"lease": 0.5, "on_engine_loss": "continue", "commands": True}
     sizes = {"max_age": 60, "max_bytes": 65536}

@@ -200,7 +200,7 @@ def test_an_error_has_no_more_than_a_page_of_mistakes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("where", ["[[device]]", "[defaults]"])
-def test_columns_of_a_map_are_named(tmp_path: Path, where: str) -> None:
+def test_columns_of_a_map_can_be_named(tmp_path: Path, where: str) -> None:
     points = MAP.replace("name,", "Mesure,", 1)
     option = "columns = {name = 'Mesure'}\n"
     fleet = SIMPLE + option if where == "[[device]]" else f"[defaults]\n{option}{SIMPLE}"
@@ -224,13 +224,13 @@ def test_ten_thousand_devices_are_read_in_time(tmp_path: Path) -> None:
     assert len({id(device.map) for device in file.devices}) == 1
 
 
-def test_a_file_for_the_map_with_a_mistake_is_named(tmp_path: Path) -> None:
+def test_a_wrong_map_file_is_named(tmp_path: Path) -> None:
     path = fleet_in(tmp_path, SIMPLE, points=MAP.replace("float32", "float33"))
     with pytest.raises(FleetFileError, match=re.escape("meter.csv, line 3, column type: ")):
         load(path)
 
 
-def test_devices_come_back_from_json_as_they_were() -> None:
+def test_devices_are_the_same_after_json() -> None:
     other = RegisterMap([Point("ä", "coils", 3, access="read", description="x")])
     devices = [
         meter("a", "tcp://192.0.2.1", unit=3, items=("power",), dead_bands={"power": 2.5}),
@@ -256,12 +256,12 @@ def test_devices_come_back_from_json_as_they_were() -> None:
         *('{"maps": [7], "devices": []}', '{"maps": [[]], "devices": [{"map": 0, "url": []}]}'),
     ],
 )
-def test_other_text_is_refused(text: str) -> None:
+def test_text_that_describes_no_devices_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="the text does not describe devices"):
         devices_from_json(text)
 
 
-def test_bad_device_is_named(refused: Refused) -> None:
+def test_an_invalid_device_is_named(refused: Refused) -> None:
     right = {"name": "a", "url": "tcp://h", "map": METER}
     refused("wrong_devices.txt", lambda keys: DeviceConfig(**right | keys))
     unreadable = RegisterMap([Point("x", "coils", 0, access="write")])

@@ -28,7 +28,7 @@ from tests.support.outputs import FakeOutput
 
 
 @in_simulated_time
-async def test_readings_are_named_scaled_and_timed() -> None:
+async def test_readings_have_names_and_scaled_values_and_times() -> None:
     time_of_day = NETWORK.get().time_of_day
     before = time_of_day()
     async with (
@@ -56,7 +56,7 @@ async def even(request: bytes) -> bytes | None:
 
 
 @in_simulated_time
-async def test_fifty_dead_units_on_a_gateway_cost_the_others_nothing() -> None:
+async def test_fifty_silent_units_on_a_gateway_do_not_delay_the_others() -> None:
     async with Peer(even) as peer:
         url = f"{peer.url}?timeout=0.3"
         devices = [meter(f"{unit}", url, unit=unit, interval=0.2) for unit in range(1, 101)]
@@ -68,14 +68,14 @@ async def test_fifty_dead_units_on_a_gateway_cost_the_others_nothing() -> None:
             # A timeout for each try of the dead at each interval would be as many for them.
             dead = [unit for unit in peer.units if unit % 2]
             assert len(dead) < len(peer.units) / 3
-        # Each point that is down was told once.
+        # Each point of a silent device was reported once.
         down = Counter((item.device, item.name) for item in readings if item.quality == "down")
         of_the_dead = [count for (unit, _), count in down.items() if int(unit) % 2]
         assert of_the_dead == [1] * 150
 
 
-async def test_real_connections_are_polled() -> None:
-    """Over TCP, and on a line with a unit that is not there."""
+async def test_devices_on_real_connections_are_polled() -> None:
+    """Over TCP, and on a line without one of the units."""
     with SerialWire() as wire:
         units = {1: simulated(100), 3: simulated(300)}
         line = f"rtu://{wire.client}?timeout=0.5"
@@ -99,7 +99,7 @@ async def test_real_connections_are_polled() -> None:
 
 
 @in_simulated_time
-async def test_a_loop_that_stood_still_skips_and_counts() -> None:
+async def test_polls_missed_by_a_blocked_loop_are_skipped_and_counted() -> None:
     async with Peer() as peer:
         devices = [meter(f"{unit}", peer.url, unit=unit) for unit in range(1, 11)]
         async with polling(*devices) as (fleet, _):
@@ -113,7 +113,7 @@ async def test_a_loop_that_stood_still_skips_and_counts() -> None:
 
 
 @in_simulated_time
-async def test_timeouts_are_those_of_each_device() -> None:
+async def test_each_device_has_its_own_timeout() -> None:
     async with Peer(silent) as peer:
         fast = meter("fast", f"{peer.url}?timeout=5&max_in_flight=2", unit=1, timeout=0.05)
         slow = meter("slow", f"{peer.url}?timeout=5&max_in_flight=2", unit=2)
@@ -142,7 +142,7 @@ async def test_polls_due_after_a_standstill_begin_in_many_turns_of_the_loop(monk
 
 
 @in_simulated_time
-async def test_once_polls_each_once_and_ends() -> None:
+async def test_once_polls_each_device_once_and_ends() -> None:
     async with Peer(even) as peer:
         url = f"{peer.url}?timeout=0.1&max_in_flight=16"
         fleet = Fleet(meter(f"{unit}", url, unit=unit, interval=60) for unit in range(1, 11))
@@ -159,7 +159,7 @@ async def test_once_polls_each_once_and_ends() -> None:
 
 @pytest.mark.parametrize("is_replaced", [False, True])
 @in_simulated_time
-async def test_once_ends_if_what_was_not_polled_yet_is_removed(is_replaced: bool) -> None:
+async def test_once_ends_when_the_last_device_without_a_poll_is_removed(is_replaced: bool) -> None:
     async with Peer(even) as peer:
         silent = meter("silent", f"{peer.url}?timeout=50", unit=1)
         good = meter("good", f"{peer.url}?timeout=50", unit=2)
@@ -173,7 +173,7 @@ async def test_once_ends_if_what_was_not_polled_yet_is_removed(is_replaced: bool
 
 
 @in_simulated_time
-async def test_replacing_touches_only_what_changed() -> None:
+async def test_replace_touches_only_changed_devices() -> None:
     async with Peer() as one, Peer() as two, Peer() as three:
         a, b = meter("a", one.url, unit=1), meter("b", one.url, unit=2)
         c = meter("c", two.url)
@@ -197,7 +197,7 @@ async def test_replacing_touches_only_what_changed() -> None:
 
 
 @in_simulated_time
-async def test_devices_that_were_replaced_are_not_kept_until_their_next_poll() -> None:
+async def test_replaced_devices_are_freed_before_their_next_poll() -> None:
     async with Peer() as peer, polling(meter("a", peer.url, interval=86_400.0)) as (fleet, _):
         former = weakref.ref(fleet.devices["a"])
         fleet.replace([meter("a", peer.url, interval=86_400.0, unit=2)])
@@ -210,7 +210,7 @@ async def test_devices_that_were_replaced_are_not_kept_until_their_next_poll() -
 
 
 @in_simulated_time
-async def test_no_plan_is_left_while_outputs_end() -> None:
+async def test_no_plan_remains_while_outputs_end() -> None:
     class Slow(FakeOutput):
         async def close_output(self) -> None:
             await asyncio.sleep(5)
@@ -258,7 +258,7 @@ async def test_a_device_that_may_not_be_asked_is_not_polled_and_gives_no_reading
             count, held = len(one.requests), fleet.statistics.vetoes
             await until(lambda: fleet.statistics.vetoes >= held + 6)
             assert len(one.requests) == count
-            # It is not the device that is down: nobody asked it.
+            # The device is not counted as down, because it was not asked.
             assert fleet.statistics.down == 0
             assert {reading.quality for reading in readings} == {"good"}
 

@@ -29,7 +29,7 @@ async def test_each_device_is_polled_at_its_interval() -> None:
         assert (statistics.devices, statistics.up, statistics.down) == (2, 2, 0)
         assert (statistics.skipped, statistics.failures, statistics.vetoes) == (0, 0, 0)
         assert statistics.polls == statistics.readings
-        # One may be on its way.
+        # One request may be in flight.
         assert len(plant.asked) - statistics.polls in (0, 1)
 
 
@@ -46,8 +46,8 @@ async def test_a_device_is_polled_at_the_same_time_of_day_on_each_machine() -> N
 
 
 @in_simulated_time
-async def test_the_requests_of_a_poll_go_out_one_after_the_other() -> None:
-    """All of a poll should be of one moment: no other device comes between."""
+async def test_the_requests_of_a_poll_are_sent_one_after_the_other() -> None:
+    """The values of a poll should belong together: no other device is asked in between."""
     plant = Plant()
     # They are due at the same time, for an interval so short puts them close together.
     async with plant.polls(*(plant.device(unit, MAP, interval=0.25) for unit in (1, 2, 3))):
@@ -74,7 +74,7 @@ async def test_intervals_of_points_count_from_when_polls_are_due() -> None:
 
 
 @in_simulated_time
-async def test_a_device_rests_between_its_requests_and_others_are_asked() -> None:
+async def test_a_device_has_its_spacing_while_others_are_asked() -> None:
     plant = Plant()
     async with plant.polls(plant.device(1, MAP, spacing=0.3), plant.device(2, interval=0.1)):
         await asyncio.sleep(20)
@@ -87,7 +87,7 @@ async def test_a_device_rests_between_its_requests_and_others_are_asked() -> Non
 
 
 @in_simulated_time
-async def test_a_device_rests_between_its_polls() -> None:
+async def test_a_device_has_its_spacing_between_polls() -> None:
     plant = Plant()
     async with plant.polls(plant.device(1, spacing=0.6, interval=0.5)):
         await asyncio.sleep(20)
@@ -96,7 +96,7 @@ async def test_a_device_rests_between_its_polls() -> None:
 
 
 @in_simulated_time
-async def test_a_damaged_answer_holds_its_device_for_a_timeout_and_no_other() -> None:
+async def test_a_damaged_answer_delays_only_its_device_for_a_timeout() -> None:
     plant = Plant(options="?timeout=2")
     async with plant.polls(plant.device(1, MAP), plant.device(2, interval=0.1)):
         plant.damaging.add(1)
@@ -126,13 +126,13 @@ class TestSilentDevices:
             await asyncio.sleep(65)
             assert poller.state is DeviceState.UP
             assert (statistics.up, statistics.down) == (1, 0)
-            # It is polled at its interval again.
+            # The device is polled at its interval again.
             await asyncio.sleep(5)
             assert gaps(plant.times(1))[-3:] == [1.0, 1.0, 1.0]
 
     @in_simulated_time
-    async def test_a_try_makes_way_for_others(self) -> None:
-        """It costs them no more than one of their own answers takes."""
+    async def test_a_trial_of_a_silent_device_waits_for_other_polls(self) -> None:
+        """The trial costs others no more than one of their own answers takes."""
         plant = Plant()
         async with plant.polls(plant.device(9), plant.device(1, interval=0.1)):
             plant.silent.add(9)
@@ -148,7 +148,7 @@ class TestSilentDevices:
 
     @in_simulated_time
     async def test_some_polls_of_a_silent_device_wait_for_the_whole_timeout(self, monkeypatch):
-        """It may have become slower than all others, and would never be found."""
+        """The device may have become slower than all others, and would never be found."""
         monkeypatch.setattr(shared_line, "TRIALS_BEFORE_LONG", 6)
         plant = Plant()
         async with plant.polls(plant.device(9), plant.device(1, interval=0.1)):
@@ -162,7 +162,7 @@ class TestSilentDevices:
             assert len(plant.times(9)) == 7
 
     @in_simulated_time
-    async def test_a_try_makes_no_way_for_a_paused_one(self) -> None:
+    async def test_a_trial_does_not_wait_for_a_device_in_its_spacing(self) -> None:
         plant = Plant()
         async with plant.polls(plant.device(9), plant.device(1, spacing=3.0)):
             plant.silent.add(9)
@@ -200,10 +200,10 @@ class TestSilentDevices:
             assert min(gaps(tries)) >= 5.0
 
     @in_simulated_time
-    async def test_the_second_request_of_a_try_makes_way_too(self) -> None:
+    async def test_the_second_request_of_a_trial_waits_for_others_too(self) -> None:
         plant = Plant()
         async with plant.polls(plant.device(9, MAP), plant.device(1, interval=0.1)):
-            await asyncio.sleep(2)  # it is known how long its answers take
+            await asyncio.sleep(2)  # the response times are measured
             plant.silent.add(9)
             await asyncio.sleep(10)
             start = plant.now
@@ -245,7 +245,7 @@ class TestChanges:
             assert list(line.pollers) == ["device 3"]
 
     @in_simulated_time
-    async def test_a_silent_device_rests_on_when_the_connection_is_another(self) -> None:
+    async def test_a_silent_device_stays_paused_over_a_new_connection(self) -> None:
         plant = Plant("tcp://10.0.0.1", "?timeout=0.5")
         async with plant.polls(plant.device(9), plant.device(1)):
             plant.silent.add(9)
@@ -260,7 +260,7 @@ class TestChanges:
             assert 9 not in plant.units(since)
 
     @in_simulated_time
-    async def test_a_connection_that_stands_again_has_its_devices_asked_at_once(self) -> None:
+    async def test_devices_of_a_restored_connection_are_polled_at_once(self) -> None:
         plant = Plant("tcp://10.0.0.1", "?timeout=0.5&max_pause=0.5")
         async with plant.polls(*(plant.device(unit) for unit in (1, 2, 3))):
             plant.network.unlisten(plant.url)
@@ -269,7 +269,7 @@ class TestChanges:
             assert plant.asked == []
             assert plant.fleet.statistics.down == 3
             plant.network.listen(plant.peer.url, plant.peer._accept)
-            # One that is paused for a minute is asked when another finds the connection.
+            # A device paused for a minute is asked when another one restores the connection.
             start = plant.now
             while plant.fleet.statistics.up < 3:
                 await asyncio.sleep(0.1)
@@ -278,7 +278,7 @@ class TestChanges:
             assert plant.now - first < 2.5
 
     @in_simulated_time
-    async def test_over_tcp_as_many_are_asked_at_once_as_the_url_says(self) -> None:
+    async def test_over_tcp_max_in_flight_limits_the_polls(self) -> None:
         plant = Plant("tcp://10.0.0.1", "?timeout=5&max_in_flight=3")
         async with plant.polls(*(plant.device(unit, interval=0.5) for unit in range(1, 9))):
             plant.delay = 1.0
@@ -290,7 +290,7 @@ class TestChanges:
 
 
 @in_simulated_time
-async def test_a_fleet_that_may_ask_nothing_ends_its_one_round_at_once() -> None:
+async def test_a_fleet_without_permission_to_ask_ends_its_single_round_at_once() -> None:
     plant = Plant()
     fleet = Fleet([plant.device(1), plant.device(2)], may_ask=lambda key: False)
     await asyncio.wait_for(fleet.run(once=True), 10)
@@ -299,7 +299,7 @@ async def test_a_fleet_that_may_ask_nothing_ends_its_one_round_at_once() -> None
 
 
 @in_simulated_time
-async def test_a_late_answer_to_a_line_whose_options_changed_is_no_answer_over_the_next() -> None:
+async def test_a_late_answer_before_a_change_of_options_is_no_answer_after_it() -> None:
     """A fleet file was read again while a request was out, and a point was added to the map."""
     plant = Plant()
     far = RegisterMap([Point("far", "holding_registers", 9)])

@@ -65,7 +65,7 @@ def test_points_are_asked_and_reported_at_their_intervals() -> None:
     assert device.asked == [0, 10]
 
 
-def test_no_point_is_asked_sooner_than_its_interval() -> None:
+def test_no_point_is_read_before_its_interval() -> None:
     device = Polled(interval=25)
     assert ["energy" in device.poll() for _ in range(7)] == [True, False, False] * 2 + [True]
 
@@ -76,7 +76,7 @@ def test_the_shortest_interval_is_that_of_the_device() -> None:
     assert Polled(items=("serial", "model")).poller.interval == 86_400
 
 
-def test_a_device_that_was_away_is_asked_for_all_that_is_due() -> None:
+def test_all_due_points_of_a_restored_device_are_read() -> None:
     device = Polled()
     for _ in range(9):
         device.poll(ModbusTimeoutError("away"))
@@ -173,7 +173,7 @@ async def test_a_refused_address_costs_ten_requests_and_is_logged_once(caplog) -
 
 
 @in_simulated_time
-async def test_a_device_that_leaves_while_it_is_searched() -> None:
+async def test_a_device_that_falls_silent_during_a_search_is_searched_later() -> None:
     plant = plant_of()
     plant.missing[1] = {7}
     async with plant.polls(device(plant, 1)):
@@ -190,8 +190,8 @@ async def test_a_device_that_leaves_while_it_is_searched() -> None:
 
 @each_case("stop", range(1, 8))
 @in_simulated_time
-async def test_devices_that_are_replaced_while_they_are_searched(stop: int) -> None:
-    """Nothing of the search goes on, and what was learnt is true."""
+async def test_devices_replaced_during_a_search_keep_only_true_refusals(stop: int) -> None:
+    """The search does not continue, and the refusals found so far are right."""
     plant = plant_of()
     plant.missing = {1: {7}, 2: {7}}
     one, two = device(plant, 1), device(plant, 2)

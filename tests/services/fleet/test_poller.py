@@ -39,7 +39,7 @@ def poll(poller: Poller, *outcomes: Any, now: float = 0.0) -> list[int]:
     return requests
 
 
-def test_after_each_silence_another_request_comes_first(poller: Poller) -> None:
+def test_after_each_silence_a_poll_begins_with_another_request(poller: Poller) -> None:
     assert [poll(poller, SILENT) for _ in range(4)] == [[0], [500], [1000], [0]]
     assert poller.misses == 4
     assert poll(poller, [2], [3], [1]) == [500, 1000, 0]

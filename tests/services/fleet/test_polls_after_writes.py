@@ -82,7 +82,7 @@ async def test_a_written_value_is_reported_at_once() -> None:
         await asyncio.sleep(PAUSE)
         assert reported(readings) == [("setpoint", 21)]
         assert memory.reads == [(0, 1)]
-        # Also one that differs by less than the band, or not at all; and one that is rarely read.
+        # Also a value within the dead band, an unchanged one, and one that is rarely read.
         await fleet.write("a", {"setpoint": 21})
         await fleet.write("a", {"limit": 7})
         await asyncio.sleep(PAUSE)
@@ -91,7 +91,7 @@ async def test_a_written_value_is_reported_at_once() -> None:
 
 
 @in_simulated_time
-async def test_the_poll_after_a_write_moves_no_other_poll() -> None:
+async def test_the_poll_after_a_write_shifts_no_other_poll() -> None:
     memory = Memory()
     async with polled(memory, interval=10) as (fleet, _):
         planned = fleet.devices["a"].at
@@ -172,7 +172,7 @@ async def test_a_device_that_was_removed_after_a_write_is_not_polled() -> None:
 
 
 @in_simulated_time
-async def test_a_point_that_cannot_be_read_leads_to_a_poll_of_the_others() -> None:
+async def test_a_point_that_cannot_be_read_causes_a_poll_of_the_others() -> None:
     memory = Memory()
     async with polled(memory) as (fleet, readings):
         memory.cells[0] = 9
@@ -182,7 +182,7 @@ async def test_a_point_that_cannot_be_read_leads_to_a_poll_of_the_others() -> No
 
 
 @pytest.mark.parametrize("place", ["device", "url", "point"])
-def test_a_fleet_commands_a_device_that_takes_no_function_6(place: str) -> None:
+def test_a_fleet_writes_to_a_device_without_function_6(place: str) -> None:
     """The function is that of the point, of the device or of the URL."""
     requests: list[Any] = []
 

@@ -81,7 +81,7 @@ DOWN = ModbusTimeoutError("no answer")
         ({"on_change": True, "at_least": 60}, [7, DOWN, DOWN, DOWN, DOWN, 7, 7], [0, 1, 4, 5]),
     ],
 )
-def test_a_point_is_reported_at_least_so_often(options, values, polls) -> None:
+def test_a_point_is_reported_at_least_at_its_longest_interval(options, values, polls) -> None:
     point = Point("x", "holding_registers", 0)
     device = DeviceConfig("a", "tcp://192.0.2.1", RegisterMap([point]), interval=20, **options)
     poller = Poller(device)
@@ -94,7 +94,7 @@ def test_a_point_is_reported_at_least_so_often(options, values, polls) -> None:
     assert reported == polls
 
 
-def test_a_point_of_its_own_interval_is_reported_at_least_so_often() -> None:
+def test_a_point_with_its_own_interval_is_reported_at_least_at_its_longest_interval() -> None:
     points = [Point("x", "holding_registers", 0, interval=40), Point("y", "holding_registers", 1)]
     device = DeviceConfig(
         "a", "tcp://192.0.2.1", RegisterMap(points), interval=20, on_change=True, at_least=100
@@ -126,7 +126,7 @@ def test_a_unit_without_an_answer_is_down(error: Exception, is_so: bool) -> None
     assert is_down(error) is is_so
 
 
-def test_readings_as_text() -> None:
+def test_readings_are_formatted_as_text() -> None:
     readings = [
         Reading(0.0, "a,b", "voltage", 230.5, "V", "good"),
         Reading(0.0, "ä", "flags", [True, False], "", "good"),
@@ -162,7 +162,7 @@ def test_readings_as_text() -> None:
 
 @pytest.mark.parametrize("value", [1, -2.5, True, None, 'ü\x07"', [1, None], {"a": 1.5}, 1e300])
 @pytest.mark.parametrize("number", [0, 7])
-def test_the_text_of_a_reading_is_its_object(value: Any, number: int) -> None:
+def test_the_text_of_a_reading_contains_its_json_object(value: Any, number: int) -> None:
     reading = Reading(1e9, "a", "b", value, "°C", "bad", 'No "value"', number, {"site": "ü"})
     row = json.loads(object_text(reading))
     time = "2001-09-09T01:46:40.000Z"
@@ -218,7 +218,7 @@ def values(*cells: int) -> dict[str, tuple[Any, str, str]]:
     return {reading.name: (reading.value, *reading[5:7]) for reading in Polls().readings(*cells)}
 
 
-def test_readings_have_values_by_what_they_mean() -> None:
+def test_readings_have_decoded_values() -> None:
     assert values(2305, 1, 0x51, 7, 0xFFFF, 0x3F80, 0) == {
         "v": (230.5, "good", ""),
         "state": ("on", "good", ""),
@@ -262,5 +262,5 @@ def test_a_total_that_falls_is_reported_when_it_was_read_again() -> None:
         ([True, False], ([True, False], "good", "")),
     ],
 )
-def test_each_null_of_a_list_has_a_reason(items: list[Any], reading: tuple[Any, str, str]) -> None:
+def test_missing_values_of_a_list_have_reasons(items: list[Any], reading: tuple[Any, str, str]):
     assert classification(items) == reading

@@ -191,7 +191,7 @@ async def heard_from(plant: Path, broker: Broker, *topics: str) -> dict[str, Any
             return {topic: payload for topic, payload, _ in messages}
 
 
-async def test_node_red_reads_and_writes_topics_that_there_are(plant: Path, broker: Broker) -> None:
+async def test_node_red_uses_only_topics_that_exist(plant: Path, broker: Broker) -> None:
     nodes = {node["id"]: node for node in json.loads(block("Node-RED", "json"))}
     for node in nodes.values():
         assert {target for wires in node.get("wires", ()) for target in wires} <= nodes.keys()
@@ -205,7 +205,7 @@ async def test_node_red_reads_and_writes_topics_that_there_are(plant: Path, brok
     assert nodes["show"]["complete"] == "payload.value"
 
 
-async def test_the_button_of_node_red_writes(plant: Path, broker: Broker) -> None:
+async def test_the_button_of_node_red_writes_a_value(plant: Path, broker: Broker) -> None:
     from tests.services.fleet.outputs.brokers import hearing, publish
 
     nodes = {node["id"]: node for node in json.loads(block("Node-RED", "json"))}
@@ -221,7 +221,7 @@ async def test_the_button_of_node_red_writes(plant: Path, broker: Broker) -> Non
     assert result["ok"] is True
 
 
-async def test_home_assistant_finds_a_device_that_goes_in_a_reload(plant: Path, broker: Broker):
+async def test_home_assistant_finds_a_device_removed_in_a_reload(plant: Path, broker: Broker):
     from tests.services.fleet.outputs.home_assistant import home_assistant
 
     before = plant.read_text()
@@ -244,7 +244,7 @@ async def test_home_assistant_finds_a_device_that_goes_in_a_reload(plant: Path, 
 
 
 @pytest.mark.parametrize("hangs_up", [False, True])
-def test_a_file_that_logrotate_renames_is_begun_anew(plant: Path, hangs_up: bool) -> None:
+def test_a_file_renamed_by_logrotate_is_begun_again(plant: Path, hangs_up: bool) -> None:
     section = "Rotate files of readings"
     path = plant.parent / "readings.csv"
     (place,) = re.findall(r'path = "(.*)"', block(section, "toml"))
@@ -275,7 +275,7 @@ def test_a_file_that_logrotate_renames_is_begun_anew(plant: Path, hangs_up: bool
     assert readings == [(line["time"], line["name"]) for line in map(json.loads, printed)]
 
 
-def test_the_container_starts_a_command_that_there_is() -> None:
+def test_the_container_starts_an_existing_command() -> None:
     text = block("Containers", "yaml")
     (command,) = re.findall(r"command: (\[.*\])", text)
     name, *arguments = json.loads(command)

@@ -46,7 +46,7 @@ def counted(statistics: FleetStatistics) -> dict[str, int]:
 
 @pytest.mark.parametrize("name", CASES)
 @in_simulated_time
-async def test_each_poll_counts_once(name: str) -> None:
+async def test_each_poll_has_exactly_one_outcome(name: str) -> None:
     options, counts = CASES[name]
     plant = Plant()
     plant.refusing = options.get("refusing", set())

@@ -55,7 +55,7 @@ PAIR = [(1, "a"), (2, "b")]
 
 
 @in_simulated_time
-async def test_values_and_devices_also_of_one_that_is_down() -> None:
+async def test_a_page_shows_values_and_devices_also_if_one_is_down() -> None:
     silent: set[int] = set()
 
     async def answer(request: bytes) -> bytes | None:
@@ -90,7 +90,7 @@ async def test_values_and_devices_also_of_one_that_is_down() -> None:
             assert "no " in reason
             assert not any(text in reason for text in ("function", "ModbusTimeout"))
             assert since >= state_of(up)[2]
-            assert problems(view) == ["b"]  # and not each of its points
+            assert problems(view) == ["b"]  # the device, and not each of its points
             assert value(view, "b power") == ["-", "W"]
 
             silent.clear()
@@ -109,7 +109,7 @@ BAD = RegisterMap(
 
 
 @in_simulated_time
-async def test_points_without_a_good_value_are_named_though_all_devices_answer() -> None:
+async def test_a_page_names_points_without_a_good_value() -> None:
     is_bad = True
 
     async def answer(request: bytes) -> bytes:
@@ -147,7 +147,7 @@ async def test_points_without_a_good_value_are_named_though_all_devices_answer()
 
 
 @in_simulated_time
-async def test_an_output_is_behind_when_a_batch_has_not_been_all_that_waits_for_10_s(monkeypatch):
+async def test_an_output_is_late_if_readings_waited_for_10_s(monkeypatch):
     now = asyncio.get_running_loop().time
     monkeypatch.setattr(statistics, "time", SimpleNamespace(monotonic=now))
     slow = FakeOutput("database", next=[30.0, 30.0])
@@ -224,7 +224,7 @@ async def test_a_value_that_is_only_reported_when_it_changes_is_as_old_as_the_la
 
 
 @in_simulated_time
-async def test_devices_that_are_replaced_while_a_page_is_open() -> None:
+async def test_devices_may_be_replaced_while_a_page_is_open() -> None:
     async with Peer() as peer:
         fleet, view, _ = shown_fleet(meter("a", peer.url), meter("b", peer.url, unit=2))
         async with fleet:
@@ -240,7 +240,7 @@ async def test_devices_that_are_replaced_while_a_page_is_open() -> None:
 
 
 @in_simulated_time
-async def test_a_look_from_another_thread_does_not_disturb_a_fleet_that_changes() -> None:
+async def test_a_page_in_another_thread_does_not_disturb_a_changing_fleet() -> None:
     is_over: list[bool] = []
     async with Peer() as peer:
         fleet, view, output = shown_fleet()

@@ -37,7 +37,7 @@ async def test_a_removed_point_is_reported_offline_once() -> None:
 
 
 @in_simulated_time
-async def test_of_a_device_that_stays_only_points_that_are_gone_are_taken_back() -> None:
+async def test_of_a_changed_device_only_the_removed_points_are_reported_offline() -> None:
     async with Peer() as peer, polling(meter("a", peer.url)) as (fleet, readings):
         await until(lambda: fleet.statistics.up)
         fleet.replace([meter("a", peer.url, items=("power",), interval=0.2)])
@@ -58,7 +58,7 @@ async def test_a_point_that_was_never_reported_is_not_reported_offline() -> None
 
 
 @in_simulated_time
-async def test_a_device_that_changes_and_goes_before_its_next_poll_is_taken_back() -> None:
+async def test_a_device_removed_before_its_first_poll_after_a_change_is_reported_offline() -> None:
     async with Peer() as peer:
         device = meter("a", peer.url)
         async with polling(device) as (fleet, readings):
@@ -80,7 +80,7 @@ async def test_a_point_that_another_fleet_polls_now_is_not_reported_offline() ->
 
 
 @in_simulated_time
-async def test_values_that_were_taken_back_are_reported_again_though_they_did_not_change() -> None:
+async def test_values_reported_offline_are_reported_again_though_they_did_not_change() -> None:
     may_ask = True
 
     async with Peer() as peer:
@@ -101,7 +101,7 @@ async def test_values_that_were_taken_back_are_reported_again_though_they_did_no
 
 
 @in_simulated_time
-async def test_the_last_values_of_what_is_not_polled_any_more_are_gone() -> None:
+async def test_last_values_of_removed_devices_are_removed() -> None:
     def last() -> set[tuple[str, str]]:
         pollers = fleet.devices.values()
         return {(poller.name, point.name) for poller in pollers for point in poller.last_values()}

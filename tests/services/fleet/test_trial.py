@@ -74,7 +74,7 @@ async def test_the_first_of_several_invalid_values_is_named() -> None:
 
 
 @in_simulated_time
-async def test_a_trial_that_is_left_after_its_first_result_leaves_no_task() -> None:
+async def test_a_trial_closed_after_its_first_result_leaves_no_task() -> None:
     async with (
         Server({1: Device(Mapping(holding_registers=3))}).serving("tcp://127.0.0.1:0") as good,
         Peer(silent) as peer,
@@ -90,7 +90,7 @@ async def test_a_trial_that_is_left_after_its_first_result_leaves_no_task() -> N
 
 
 @in_simulated_time
-async def test_a_defect_ends_the_trial(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_internal_error_ends_the_trial(monkeypatch: pytest.MonkeyPatch) -> None:
     """An unexpected exception is raised while other lines are still tried."""
 
     def broken(*_: object, **__: object) -> object:
@@ -137,14 +137,14 @@ ASCII_S = (17 + 2 * 10 + 3) * 10 / 9600
         (RTU, [0.1, *[0.2] * 7], "line rtu:///dev/x at 9600: 0.134 s of requests each 0.1 s"),
     ],
 )
-def test_lines_that_cannot_keep_their_intervals(url, intervals, message) -> None:
+def test_lines_that_are_too_slow_for_their_intervals_are_reported(url, intervals, message) -> None:
     devices = [
         meter(f"{unit}", url, unit=unit, interval=item) for unit, item in enumerate(intervals, 1)
     ]
     assert overloads(devices) == ([message] if message else [])
 
 
-def test_a_line_is_loaded_by_what_is_due() -> None:
+def test_only_points_that_are_due_count_as_load_of_a_line() -> None:
     url = "rtu:///dev/ttyUSB0?baudrate=9600"
     for own, count in ((60, 0), (None, 1)):
         points = [Point(f"p{at}", "holding_registers", 2 * at, interval=own) for at in range(50)]

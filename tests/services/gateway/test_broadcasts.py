@@ -38,13 +38,13 @@ def test_a_broadcast_reaches_every_unit_of_every_line(lan: Lan, front: str) -> N
         lan.pass_time(0.1)
         assert all(device.mapping.holding_registers[2:4] == [8, 9] for device in devices)
         assert gateway_.traffic.broadcasts == 1
-        if front != "rtu+tcp":  # there a client knows that nobody answers
+        if front != "rtu+tcp":  # on RTU over TCP a client expects no answer
             with pytest.raises(GatewayPathUnavailable):
                 context.read_holding_registers(0, 1)
 
 
 @pytest.mark.parametrize("is_there", [True, False])
-def test_a_broadcast_that_a_line_did_not_take_is_not_reported_done(lan: Lan, is_there) -> None:
+def test_a_broadcast_that_a_line_refused_is_not_reported_as_sent(lan: Lan, is_there) -> None:
     if not is_there:
         lan.unreachable.add("10.0.0.9")
     with (
@@ -109,7 +109,7 @@ def test_the_rules_of_all_routes_of_a_line_hold_for_a_broadcast(lan: Lan) -> Non
             assert gateway_.traffic.broadcasts == 0
 
 
-def test_a_broadcast_does_not_go_back_to_the_machine_that_sent_it(lan: Lan) -> None:
+def test_a_broadcast_does_not_return_to_the_machine_that_sent_it(lan: Lan) -> None:
     """Two gateways that lead to each other would send it for ever."""
     device = small()
     writes: list[bytes] = []
@@ -139,7 +139,7 @@ def circle(line: str, *starts: str) -> Iterator[tuple[Gateway, Gateway, str]]:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu+tcp"])
-def test_nothing_goes_round_between_gateways_that_lead_to_each_other(lan: Lan, scheme) -> None:
+def test_broadcasts_do_not_loop_between_gateways(lan: Lan, scheme) -> None:
     device, start = small(), f"{scheme}://127.0.0.1:0"
     with (
         Server({1: device}).background(LINE),
@@ -147,7 +147,7 @@ def test_nothing_goes_round_between_gateways_that_lead_to_each_other(lan: Lan, s
         Client(url, unit=2, timeout=20) as context,
     ):
         for value in (7, 8, 7):
-            with contextlib.suppress(GatewayTargetFailedToRespond):  # the other did not pass it on
+            with contextlib.suppress(GatewayTargetFailedToRespond):  # the other did not forward it
                 context.for_unit(0).write_register(0, value)
             lan.pass_time(0.5)
             assert device.mapping.holding_registers[0] == value
@@ -164,7 +164,7 @@ def test_nothing_goes_round_between_gateways_that_lead_to_each_other(lan: Lan, s
         assert context.for_unit(1).read_holding_registers(0, 1) == [7]
 
 
-def test_a_broadcast_does_not_go_round_between_gateways_of_one_process_on_unix_sockets(tmp_path):
+def test_broadcasts_do_not_loop_between_gateways_on_unix_sockets(tmp_path):
     """All their clients have one name: that of the socket, the user and the process."""
     device, ends = small(), [f"unix://{tmp_path}/{name}" for name in "abc"]
     with (
@@ -175,7 +175,7 @@ def test_a_broadcast_does_not_go_round_between_gateways_of_one_process_on_unix_s
         until(lambda: len(first.traffic.lines) == 2)
         context.write_register(3, 4)
         assert context.read_holding_registers(3, 1) == [4]
-        with pytest.raises(GatewayTargetFailedToRespond):  # the other one did not pass it on
+        with pytest.raises(GatewayTargetFailedToRespond):  # the other gateway did not forward it
             context.for_unit(0).write_register(0, 7)
         assert device.mapping.holding_registers[0] == 7
         assert (first.traffic.broadcasts, second.traffic.broadcasts) == (1, 1)

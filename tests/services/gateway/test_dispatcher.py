@@ -16,7 +16,7 @@ from tests.simulation.lan import Lan
 from tests.support.gateways import passage
 
 
-def test_units_go_to_their_lines_and_are_others_there(lan: Lan) -> None:
+def test_units_have_other_numbers_on_their_lines(lan: Lan) -> None:
     with (
         Server({n: numbered(n) for n in (1, 2, 3)}).background("tcp://10.0.0.9:0") as one,
         Server({n: numbered(100 + n) for n in (1, 7)}).background(LINE),
@@ -42,7 +42,7 @@ def test_units_go_to_their_lines_and_are_others_there(lan: Lan) -> None:
             ask(12)
         assert lan.now - start == pytest.approx(300, abs=0.1)
         assert gateway_.traffic.no_route == 6
-        assert len(gateway_.traffic.lines) == 2  # those with one URL share its connection
+        assert len(gateway_.traffic.lines) == 2  # routes with one URL share its connection
 
 
 def test_the_gateway_itself_is_unit_255_with_its_statistics(lan: Lan) -> None:
@@ -56,7 +56,7 @@ def test_the_gateway_itself_is_unit_255_with_its_statistics(lan: Lan) -> None:
         assert own.read_device_identification().names["ProductCode"] == "Gateway"
 
 
-def test_unit_255_has_a_route_and_other_units_are_own(lan: Lan) -> None:
+def test_unit_255_may_have_a_route_beside_own_units(lan: Lan) -> None:
     with (
         Server({255: numbered(7)}).background("tcp://10.0.0.9:0") as behind,
         gateway([Route(behind.urls[0], "255")], own_units=[0, 250]) as (_, url),
@@ -89,7 +89,7 @@ def test_on_a_line_the_gateway_answers_its_units_and_leaves_others_to_their_devi
 
 
 @pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
-def test_a_rule_that_ends_the_program_ends_it(lan: Lan, error: type[BaseException]) -> None:
+def test_a_rule_that_ends_the_program_ends_the_gateway(lan: Lan, error: type[BaseException]):
     def authorize(request: object) -> bool:
         raise error
 
@@ -106,7 +106,7 @@ def test_a_rule_that_ends_the_program_ends_it(lan: Lan, error: type[BaseExceptio
 
 
 @pytest.mark.parametrize(("writes_first", "place"), [(True, 1), (False, 6)])
-def test_writes_overtake_reads_where_they_may(lan: Lan, writes_first: bool, place: int) -> None:
+def test_writes_overtake_reads_with_the_option(lan: Lan, writes_first: bool, place: int) -> None:
     with gated(lan, writes_first=writes_first) as (gate, line, url, _), lan.client(url) as client:
         client.sendall(adu(READ_ONE) * 6 + adu(bytes.fromhex("06 0000 0001"), 9))
         assert lan.until(lambda: line.waiting == 6)
@@ -119,7 +119,7 @@ MOST = 3
 
 
 @pytest.mark.parametrize("front", ["udp", "rtu+udp"])
-def test_answers_make_room_for_further_datagrams(lan: Lan, front, monkeypatch) -> None:
+def test_each_answer_allows_another_datagram(lan: Lan, front, monkeypatch) -> None:
     monkeypatch.setattr(udp, "REMEMBERED_MAX", MOST)
     with passage(front, "rtu", {1: small()}, lan=lan) as through, through.context(1) as client:
         for _ in range(2 * MOST):

@@ -93,7 +93,7 @@ def test_requests_of_a_client_that_sends_no_more_are_answered(scheme: str) -> No
         assert answers == b"".join(framer.encode(write) for write in writes)
 
 
-def test_closing_it_in_the_middle_leaves_nothing(lan: Lan) -> None:
+def test_closing_a_gateway_during_requests_leaves_nothing(lan: Lan) -> None:
     """The LAN fails the test for a task or an exception that is left."""
     slow = {1: [Fault("delay", seconds=500)]}
     server = Server({1: small()}, faults=slow)
@@ -109,7 +109,7 @@ def test_closing_it_in_the_middle_leaves_nothing(lan: Lan) -> None:
 
 
 @simulated
-async def test_routes_that_change_while_it_stops_are_those_of_the_next_run() -> None:
+async def test_routes_changed_while_it_stops_apply_to_the_next_run() -> None:
     gateway_ = Gateway([Route("tcp://10.0.0.9", [1])])
     async with gateway_.serving("tcp://10.0.0.1:502"):
         gateway_.change_routes([Route("tcp://10.0.0.8", [1])])

@@ -58,7 +58,7 @@ def cases(front: str) -> Iterator[Asked]:
 
 
 @pytest.mark.parametrize("front", SIDES)
-def test_pymodbus_client_and_a_device_agree_through_it(front: str) -> None:
+def test_a_pymodbus_client_and_a_device_agree_through_a_gateway(front: str) -> None:
     device = make_device()
     with passage(front, SIDES[front], {UNIT: device}) as through, ExitStack() as own:
         for check, case in each(cases(front), name_of):
@@ -84,19 +84,19 @@ def before(line: str) -> Iterator[Client]:
         yield context
 
 
-def test_context_and_pymodbus_server_agree_through_it() -> None:
+def test_a_context_and_a_pymodbus_server_agree_through_a_gateway() -> None:
     with pymodbus_serving("tcp") as line, before(line) as context:
         check_all(context)
 
 
 @pytest.mark.parametrize("transport", SIDES)
-def test_context_and_c_server_agree_through_it(compiled: Callable[[str], Path], transport) -> None:
+def test_a_context_reads_a_c_server_through_it(compiled: Callable[[str], Path], transport) -> None:
     with c_serving(compiled("server"), transport) as line, before(line) as context:
         check_all(context)
 
 
 @pytest.mark.parametrize("front", SIDES)
-def test_c_client_is_content_with_a_device_behind_it(compiled: Callable[[str], Path], front):
+def test_all_calls_of_a_c_client_succeed_through_a_gateway(compiled: Callable[[str], Path], front):
     with passage(front, SIDES[front]) as through:
         output = run_c_client(compiled("client"), parse(through.url))
     assert {f"FC {function} ok" for function in C_CLIENT_CALLS} <= output
@@ -104,7 +104,7 @@ def test_c_client_is_content_with_a_device_behind_it(compiled: Callable[[str], P
 
 
 @needs_mbpoll
-def test_mbpoll_reads_and_writes_through_it() -> None:
+def test_mbpoll_reads_and_writes_through_a_gateway() -> None:
     device = make_device()
     with passage("tcp", "rtu", {UNIT: device}) as through:
         end = parse(through.url)

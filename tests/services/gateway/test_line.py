@@ -32,14 +32,14 @@ def logged(caplog: pytest.LogCaptureFixture) -> list[str]:
 
 
 @on_line()
-async def test_a_silent_unit_rests_and_is_tried_by_one_request(plant: Plant, caplog) -> None:
+async def test_a_silent_unit_is_paused_and_then_tried_with_one_request(plant: Plant, caplog):
     caplog.set_level(logging.INFO, logger=TOLD)
     plant.silent.add(9)
     first, second, third = Asker(), Asker(), Asker()
     plant.ask(9, first)
     plant.ask(9, second, INPUTS)
     await asyncio.sleep(TIMEOUT + 0.1)
-    # Who waits for the same unit is told at once.
+    # Requests that wait for the same unit are refused at once.
     assert first.answers == [REFUSED]
     assert second.answers == [f"84{NO_ANSWER:02x}"]
     plant.ask(9, third)
@@ -90,7 +90,7 @@ async def test_a_trial_whose_connection_is_lost_is_followed_by_a_longer_pause(pl
 
 
 @on_line()
-async def test_a_unit_that_without_an_answer_is_paused(plant: Plant, caplog) -> None:
+async def test_a_unit_without_an_answer_is_paused(plant: Plant, caplog) -> None:
     caplog.set_level(logging.INFO, logger=TOLD)
     asker = Asker()
     for request in (READ, UNKNOWN):
@@ -110,7 +110,7 @@ async def test_a_unit_that_without_an_answer_is_paused(plant: Plant, caplog) -> 
     plant.ask(9, asker)
     await asyncio.sleep(0.4)
     assert not plant.unit(9).is_silent
-    plant.ask(9, asker, UNKNOWN)  # it is paused no longer than its unit
+    plant.ask(9, asker, UNKNOWN)  # the function is paused no longer than its unit
     await asyncio.sleep(1)
     assert asker.answers[-1] == "0800000001"
     assert logged(caplog) == [
@@ -144,7 +144,7 @@ async def test_requests_of_a_silent_function_are_refused_together_until_it_answe
 
 
 @on_line()
-async def test_a_request_that_gets_no_answer_is_no_silence_and_leaves_the_unit_due(plant: Plant):
+async def test_a_lost_request_is_no_silence_and_the_unit_is_tried_again(plant: Plant):
     """A device that is to listen only says nothing (application protocol, 6.8.1)."""
     plant.silent.add(9)
     plant.ask(9, Asker())
@@ -211,7 +211,7 @@ async def test_a_client_may_leave_while_it_gets_a_response(plant: Plant) -> None
 
 
 @on_line("tcp://10.0.0.1?max_in_flight=2")
-async def test_a_client_that_leaves_at_an_answer_gets_no_other_of_the_same_turn(
+async def test_a_client_that_disconnects_at_an_answer_gets_no_other_of_the_same_turn(
     plant: Plant,
 ) -> None:
     class Leaving(Asker):
@@ -252,8 +252,8 @@ def test_the_queue_of_all_clients_together_is_limited(monkeypatch: pytest.Monkey
     ("requests", "is_kept"), [([READ], True), ([READ, WRITE], False), ([WRITE, READ], False)]
 )
 @on_line("tcp://10.0.0.1?max_in_flight=2")
-async def test_no_answer_is_kept_that_may_be_older_than_a_write(plant: Plant, requests, is_kept):
-    """Both may be on their way together: nobody knows which one the device does first."""
+async def test_no_answer_is_cached_that_may_be_older_than_a_write(plant: Plant, requests, is_kept):
+    """Both may be in flight together: it is unknown which one the device executes first."""
     for request in requests:
         plant.ask(2, Asker(), request, age=1)
     await asyncio.sleep(0.5)
@@ -262,7 +262,7 @@ async def test_no_answer_is_kept_that_may_be_older_than_a_write(plant: Plant, re
 
 
 @on_line()
-async def test_a_write_whose_client_goes_while_it_is_sent_makes_what_was_read_before_old(
+async def test_a_write_whose_client_disconnects_clears_the_cache_of_its_unit(
     plant: Plant,
 ) -> None:
     plant.ask(1, Asker(), age=60)
@@ -277,7 +277,7 @@ async def test_a_write_whose_client_goes_while_it_is_sent_makes_what_was_read_be
     assert not plant.has_cached(1)
 
 
-def test_an_answer_is_that_of_its_unit_and_request_and_no_older_than_wanted() -> None:
+def test_the_cache_returns_answers_to_the_same_unit_and_request_up_to_their_age() -> None:
     cache = Cache()
     cache.keep(1, b"ask", b"answer", 10.0)
     for unit, request, now, answer in (
@@ -300,7 +300,7 @@ def test_an_answer_is_that_of_its_unit_and_request_and_no_older_than_wanted() ->
     ],
 )
 @on_line()
-async def test_a_client_that_leaves_costs_no_other_client_its_answer(
+async def test_a_client_that_disconnects_does_not_affect_answers_to_others(
     plant: Plant, leaving: str, moment: str, units: list[int], unwanted: int
 ) -> None:
     plant.ask(1, Asker())
@@ -344,12 +344,12 @@ async def test_a_client_that_leaves_costs_no_other_client_its_answer(
     [(2, WRITE, False), (0, WRITE, False), (3, WRITE, True), (2, INPUTS, True)],
 )
 @on_line()
-async def test_a_read_is_not_answered_with_what_was_read_before_a_write(
+async def test_a_read_is_not_answered_from_before_a_write(
     plant: Plant, unit: int, request: str, is_joined: bool
 ) -> None:
     plant.ask(1, Asker())
     first, second, alone = Asker(), Asker(), Asker()
-    plant.ask(2, alone)  # another route of the line, whose reads join none
+    plant.ask(2, alone)  # reads of another route of the line are not joined
     plant.ask(2, first, merge=True, age=60)
     plant.ask(unit, Asker(), request)
     plant.ask(2, second, merge=True, age=60)
@@ -377,7 +377,7 @@ async def test_a_client_that_joined_a_read_late_is_not_refused_when_the_first_on
 
 
 @on_line("tcp://10.0.0.1")
-async def test_a_missing_device_is_logged_once_and_when_it_is_back(
+async def test_a_missing_device_is_logged_once_and_again_at_its_return(
     plant: Plant, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = iter(range(100, 1000))
@@ -406,7 +406,7 @@ async def test_a_missing_device_is_logged_once_and_when_it_is_back(
 
 
 @on_line("tcp://10.0.0.1")
-async def test_a_line_that_is_lost_at_each_request_is_opened_every_two_seconds(plant: Plant):
+async def test_a_line_that_fails_with_each_request_is_opened_every_two_seconds(plant: Plant):
     """The pause that doubles each time, a fifth shorter at random, is no longer than that."""
     plant.peer.on_request = lambda request, write: plant.peer.drop_all()
     asker = Asker()
@@ -417,7 +417,7 @@ async def test_a_line_that_is_lost_at_each_request_is_opened_every_two_seconds(p
     assert 100 / 2 <= plant.peer.connections <= 100 / 1.6 + 6
 
 
-def test_the_answer_that_was_kept_first_is_dropped_for_one_too_many() -> None:
+def test_the_oldest_cached_answer_is_dropped_beyond_the_limit() -> None:
     cache = Cache()
     for number in range(MOST_CACHED):
         cache.keep(1, bytes([3, *divmod(number, 256)]), b"old", 1.0)

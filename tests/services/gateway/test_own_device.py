@@ -75,10 +75,10 @@ def test_the_registers_of_units_begin_at_1000(trial: Trial) -> None:
     assert trial.read(1000, 20) == cells
     assert trial.read(1019, 4) == [cells[-1], *words(2), 0]
     assert trial.read(1000 + 255 * 20, 20) == cells
-    assert trial.read(1040, 20) == [0] * 20  # no unit was asked there
+    assert trial.read(1040, 20) == [0] * 20  # these units were not asked
 
 
-def test_the_own_device_has_input_registers_and_an_identification_only(trial: Trial) -> None:
+def test_the_own_device_has_only_input_registers_and_an_identification(trial: Trial) -> None:
     last = 1000 + 256 * 20
     assert trial.read(last - 1, 1) == [0]
     refused = trial.device.answer(pdu.ReadInputRegisters(last, 1).encode())

@@ -91,7 +91,7 @@ def test_reads_are_recorded_that_a_rule_refuses_and_no_others(lan: Lan, events: 
     assert rows(events) == [("refused", 1, 1, refused), ("write", 1, 6, refused)]
 
 
-def test_an_authorize_that_raises_is_recorded_and_answers_like_it_are_not(
+def test_only_an_authorize_that_raises_is_recorded_and_not_equal_answers(
     lan: Lan, events: Events
 ) -> None:
     def authorize(request: ClientRequest) -> bool:
@@ -107,7 +107,7 @@ def test_an_authorize_that_raises_is_recorded_and_answers_like_it_are_not(
             for read in (client.read_coils, client.read_discrete_inputs):
                 with pytest.raises(ExceptionResponse):
                     read(0, 1)
-            with pytest.raises(IllegalFunction):  # neither has such a function
+            with pytest.raises(IllegalFunction):  # the device and the gateway lack this function
                 client.execute(pdu.EncapsulatedTransport(13, b""))
     illegal, busy = "illegal function (exception 1)", "server device busy (exception 6)"
     assert [row for row in rows(events) if row[0] == "refused"] == [
@@ -117,7 +117,7 @@ def test_an_authorize_that_raises_is_recorded_and_answers_like_it_are_not(
     ]
 
 
-def test_a_write_whose_client_is_gone_is_recorded_once(lan: Lan, events: Events) -> None:
+def test_a_write_of_a_disconnected_client_is_recorded_once(lan: Lan, events: Events) -> None:
     """While it waits, and after it was sent."""
     with (
         gated(lan, audit=events.append) as (gate, _, url, _),
@@ -139,7 +139,7 @@ def test_a_write_whose_client_is_gone_is_recorded_once(lan: Lan, events: Events)
     assert gate.kinds == ["write"]
 
 
-def test_a_client_that_is_gone_has_its_broadcast_recorded_once(lan: Lan, events: Events):
+def test_a_broadcast_of_a_disconnected_client_is_recorded_once(lan: Lan, events: Events):
     with gated(lan, audit=events.append) as (gate, _, url, _):
         with lan.client(url) as other, lan.client(url) as client:
             other.sendall(adu(READ_ONE))

@@ -90,7 +90,7 @@ def test_an_invalid_function_code_is_refused(code: int) -> None:
 
 
 @each_case("request", ["03", "03 000000", "03 0000000100", "07 00", "10 00000001 02 00"])
-def test_a_known_function_has_requests_of_its_length_only(request: str) -> None:
+def test_a_known_function_is_forwarded_at_its_length_only(request: str) -> None:
     """With a wrong length, everybody on a line would look for the end in vain."""
     pdu = bytes.fromhex(request)
     with pytest.raises(IllegalDataValue) as raised:

@@ -24,7 +24,7 @@ TCP, LINE = "tcp://192.0.2.1", "rtu:///dev/ttyUSB0"
         ("ascii:///dev/ttyUSB0", range(1, 248)),
     ],
 )
-def test_a_route_has_the_units_that_its_line_can_have(url: str, units: range) -> None:
+def test_a_route_has_the_units_that_exist_on_its_line(url: str, units: range) -> None:
     route = Route(url)
     assert route.units == tuple(units)
     assert route.ways == {unit: unit for unit in units}
@@ -42,11 +42,11 @@ def test_a_route_has_the_units_that_its_line_can_have(url: str, units: range) ->
         ("4", [1], {4: 1}),
     ],
 )
-def test_units_may_be_others_on_the_line(units, device_units, ways) -> None:
+def test_units_may_have_other_numbers_on_the_line(units, device_units, ways) -> None:
     assert Route(TCP, units, device_units).ways == ways
 
 
-def test_routes_are_equal_however_their_units_were_given() -> None:
+def test_routes_with_equal_units_are_equal() -> None:
     routes = [Route(TCP, "1-3", entry) for entry in ("11-13", [11, 12, 13], iter((11, 12, 13)))]
     assert [route.device_units for route in routes] == [(11, 12, 13)] * 3
     assert routes[0] == routes[1] == routes[2]
@@ -56,7 +56,7 @@ def test_a_wrong_route_is_named(refused: Refused) -> None:
     refused("wrong_routes.txt", lambda options: Route(TCP, **options))
 
 
-def test_only_reads_pass_a_route_without_writes() -> None:
+def test_a_read_only_route_forwards_only_reads() -> None:
     """By the functions of the specification (6.7 to 6.13 and 6.21)."""
     allow = Route(TCP, read_only=True).allow
     assert allow is not None
@@ -110,7 +110,7 @@ def leads_back(line: str, listening: str) -> bool:
         ("tcp://127.0.0.1:1502", "tcp://192.0.2.1:1502", False),
     ],
 )
-def test_a_line_to_where_the_gateway_listens_is_seen(line, listening, is_own) -> None:
+def test_a_line_to_an_address_of_the_gateway_is_refused(line, listening, is_own) -> None:
     assert leads_back(line, listening) is is_own
 
 

@@ -57,7 +57,7 @@ class Counted:
         self.shown: Any = ShownGateway("house", self)  # type: ignore[arg-type]
 
 
-def test_a_line_has_its_counters_and_its_state() -> None:
+def test_a_line_is_shown_with_its_counters_and_state() -> None:
     counted = Counted()
     line = counted.lines[0]
     line.since, line.waiting, line.in_flight, line.full = 12.34, 5, 2, 3
@@ -83,7 +83,7 @@ def test_a_line_has_its_counters_and_its_state() -> None:
     assert rows(counted.shown)[SECOND].words == SECOND
 
 
-def test_a_unit_has_its_counters_and_its_state() -> None:
+def test_a_unit_is_shown_with_its_counters_and_state() -> None:
     counted = Counted()
     name, unit = f"{FIRST} unit 3", counted.lines[0].unit(3)
     unit.requests, unit.timeouts, unit.invalid, unit.refused, unit.cached = 9, 2, 3, 4, 5
@@ -134,7 +134,7 @@ def test_requests_are_counted_by_client_and_unit() -> None:
     assert clients.rows()[1].words == "192.0.2.7 unit 3, 3 read holding registers function 3"
 
 
-def test_lines_units_and_clients_of_a_gateway_on_a_page(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_shows_lines_and_units_and_clients_of_a_gateway(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(samples, "SAMPLED", 0.0)
     devices = {1: Device(Mapping(holding_registers=10))}
     with Server(devices, unknown_unit="silent").background("tcp://127.0.0.1:0") as behind:
@@ -149,7 +149,7 @@ def test_lines_units_and_clients_of_a_gateway_on_a_page(monkeypatch: pytest.Monk
             Client(running.urls[0], unit=1, timeout=10) as plc,
             table_page(TableSource(view)) as page,
         ):
-            # Nobody looks at the page yet.
+            # No page is open yet.
             assert plc.read_holding_registers(3, 2) == [0, 0]
             for unit in (2, 9):
                 with pytest.raises(GatewayTargetFailedToRespond):

@@ -27,13 +27,13 @@ SIDES = [(front, back) for front in FRONTS for back in FRONTS]
 
 
 @pytest.mark.parametrize(("front", "back"), SIDES, ids=["-".join(sides) for sides in SIDES])
-def test_any_function_goes_from_any_side_to_any(lan: Lan, front: str, back: str) -> None:
+def test_any_function_is_forwarded_between_any_transports(lan: Lan, front: str, back: str) -> None:
     with passage(front, back, lan=lan) as through, through.context() as context:
         every_function(context)
 
 
 @pytest.mark.parametrize(("front", "back"), [("tcp", "rtu"), ("rtu", "udp"), ("ascii", "tcp")])
-def test_any_function_goes_over_sockets_and_ports_of_the_system(front: str, back: str) -> None:
+def test_any_function_is_forwarded_over_real_sockets_and_ports(front: str, back: str) -> None:
     """The real copy."""
     with passage(front, back) as through, through.context() as context:
         every_function(context)
@@ -79,7 +79,7 @@ def test_unknown_functions_are_forwarded_as_bytes(lan: Lan) -> None:
         del pdu.REQUESTS[101]
 
 
-def test_over_tls_roles_are_asked(tmp_path: Path) -> None:
+def test_authorize_gets_the_role_of_tls_clients(tmp_path: Path) -> None:
     pki = Pki(tmp_path)
     calls: list[object] = []
 

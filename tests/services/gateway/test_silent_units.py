@@ -74,7 +74,7 @@ def test_late_answers_go_to_no_other_request(lan: Lan) -> None:
         assert line.connection.late_answers > 0
 
 
-def test_a_client_without_ids_that_asks_again_gets_the_answer_to_the_second_request_only(
+def test_a_repeated_request_without_an_id_gets_only_its_second_answer(
     lan: Lan,
 ) -> None:
     """It has given up the first request: the answer to that would be taken for the second's."""
@@ -130,7 +130,7 @@ def test_a_write_waits_for_the_repetition_of_the_read_before_it(target: str) -> 
                 assert client.makefile("rb").read(len(answers)) == answers
 
 
-def test_requests_that_were_in_flight_with_it_do_not_make_its_pause_longer() -> None:
+def test_requests_in_flight_with_the_first_silence_do_not_extend_the_pause() -> None:
     units = SilentUnits(1.0)
     assert units.note_silence(3, 3, 0.0)
     assert not units.note_silence(3, 3, 1.0)

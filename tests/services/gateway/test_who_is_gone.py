@@ -1,4 +1,4 @@
-"""What nobody waits for any more is not sent; and what a silent function costs."""
+"""Requests of clients that left are not sent; and the cost of a silent function."""
 
 import asyncio
 
@@ -40,7 +40,7 @@ def mute(url: str, options: str) -> Plant:
 
 
 @pytest.mark.parametrize("url", LINES)
-def test_a_request_that_waits_for_the_connection_is_not_sent(url: str) -> None:
+def test_a_request_of_a_gone_client_is_not_sent_when_the_connection_opens(url: str) -> None:
     plant = mute(url, f"timeout=5&connect_delay={CONNECT_DELAY}")
 
     async def main() -> None:
@@ -63,7 +63,7 @@ def test_a_request_that_waits_for_the_connection_is_not_sent(url: str) -> None:
 
 
 @pytest.mark.parametrize("url", LINES)
-def test_a_request_without_an_answer_is_not_sent_again(url: str) -> None:
+def test_an_unanswered_request_of_a_gone_client_is_not_repeated(url: str) -> None:
     plant = mute(url, "timeout=0.5&retries=3")
 
     async def main() -> None:
@@ -77,7 +77,7 @@ def test_a_request_without_an_answer_is_not_sent_again(url: str) -> None:
 
 
 @pytest.mark.parametrize("url", STREAMS)
-def test_a_trial_that_waits_for_the_connection_is_not_sent(url: str) -> None:
+def test_a_trial_of_a_gone_client_is_not_sent_when_the_connection_opens(url: str) -> None:
     plant = mute(url, f"timeout=0.5&connect_delay={CONNECT_DELAY}")
 
     async def main() -> None:
@@ -101,7 +101,7 @@ def test_a_trial_that_waits_for_the_connection_is_not_sent(url: str) -> None:
 
 
 @pytest.mark.parametrize(("scheme", "is_sent"), [("tcp", False), ("rtu+tcp", True)])
-def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(lan: Lan, scheme, is_sent):
+def test_a_broadcast_of_a_gone_client_is_not_sent(lan: Lan, scheme, is_sent):
     """On a serial line nobody waits for a broadcast."""
     peer = Scripted(lan, LINE, lambda request, write: None)
     route = Route(f"{LINE}?connect_delay={CONNECT_DELAY}")
@@ -168,7 +168,7 @@ def test_a_silent_unit_delays_reads_of_others_by_one_timeout_at_most(url, unit, 
 
 
 @on_line("tcp://10.0.0.1?timeout=0.5")
-async def test_a_write_that_tries_a_unit_makes_way_for_others(plant: Plant) -> None:
+async def test_a_write_that_tries_a_silent_unit_waits_for_others(plant: Plant) -> None:
     """Nothing is sent beside it, but others wait no longer than for one of their own answers."""
     plant.silent.add(9)
     plant.ask(9, Asker(), WRITE)

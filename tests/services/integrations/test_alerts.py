@@ -16,7 +16,7 @@ TESTS = Path(__file__).with_name("alerts_test.yml")
 
 @pytest.mark.skipif(shutil.which("promtool") is None, reason="Prometheus is not installed")
 @each_case("arguments", [("check", "rules", "--lint-fatal", RULES), ("test", "rules", TESTS)])
-def test_promtool_accepts_the_rules_and_what_they_report(arguments: tuple[str | Path, ...]) -> None:
+def test_promtool_accepts_the_rules_and_their_results(arguments: tuple[str | Path, ...]) -> None:
     result = subprocess.run(["promtool", *arguments], capture_output=True, text=True, timeout=60)
     assert result.returncode == 0, result.stdout + result.stderr
 

@@ -126,7 +126,7 @@ IDENTIFIERS = {
 
 
 @pytest.mark.parametrize(("data", "identifier"), IDENTIFIERS.items())
-def test_identifier_ends_before_the_run_indicator(data: bytes, identifier: bytes) -> None:
+def test_the_server_id_ends_before_the_run_indicator(data: bytes, identifier: bytes) -> None:
     with FakeServer(lambda r: [mbap(r, bytes([0x11, len(data)]) + data)]) as server:
         assert run(call(tcp(server.port), lambda u: u.report_server_id())) == identifier
 
@@ -152,7 +152,7 @@ ERRORS: dict[str, tuple[Callable[[bytes], list[bytes]], str, bool, str]] = {
 
 
 @pytest.mark.parametrize(("answer", "name", "stays", "text"), ERRORS.values(), ids=ERRORS)
-def test_errors_are_of_their_classes(answer: Any, name: str, stays: bool, text: str) -> None:
+def test_errors_have_the_specified_classes(answer: Any, name: str, stays: bool, text: str) -> None:
     async def go() -> None:
         connection = tcp(server.port, SHORT)
         try:
@@ -173,7 +173,7 @@ def test_errors_are_of_their_classes(answer: Any, name: str, stays: bool, text: 
         run(go())
 
 
-def test_answer_of_another_unit_on_a_line_drops_it() -> None:
+def test_an_answer_of_another_unit_on_a_line_is_dropped() -> None:
     frame = bytes([9, 3, 2, 0, 7])
     with FakeUnit(lambda r: [frame + crc16(frame).to_bytes(2, "little")]) as line:
         connection = backend.ModbusConnection(
@@ -219,7 +219,7 @@ PLACES: dict[str, Make] = {
 
 
 @pytest.mark.parametrize(("url", "make"), PLACES.items(), ids=PLACES)
-def test_params_lead_to_their_endpoint(url: str, make: Make) -> None:
+def test_parameters_give_the_url_of_their_endpoint(url: str, make: Make) -> None:
     assert backend.ModbusConnection(make()).url == url
 
 
@@ -239,7 +239,7 @@ NOWHERE: dict[str, tuple[Make, str]] = {
 
 
 @pytest.mark.parametrize(("make", "text"), NOWHERE.values(), ids=NOWHERE)
-def test_params_that_lead_nowhere_are_refused_at_once(make: Make, text: str) -> None:
+def test_parameters_of_an_invalid_endpoint_are_refused_at_once(make: Make, text: str) -> None:
     with pytest.raises(ValueError, match=re.escape(text)) as caught:
         backend.ModbusConnection(make())
     assert "\n" not in str(caught.value)
@@ -283,14 +283,14 @@ def test_tls_with_certificates_of_both_connects(pki: Pki) -> None:
         assert run(call(connection, lambda u: u.read_coils(0, 3))) == [True, False, True]
 
 
-def test_files_of_tls_are_named(tmp_path: Path) -> None:
+def test_an_invalid_tls_file_is_named(tmp_path: Path) -> None:
     for options in ({"verify": "/none.pem"}, {"client_cert": "/none.pem"}, {"verify": __file__}):
         params = theirs.ModbusTlsParams(host=HOST, port=1, **options)
         with pytest.raises(ValueError, match=f"cannot use .*{next(iter(options.values()))}"):
             run(call(backend.ModbusConnection(params), seven))
 
 
-def test_prometheus_takes_a_connection() -> None:
+def test_prometheus_metrics_can_be_collected_from_a_connection() -> None:
     client = pytest.importorskip("prometheus_client")
     prometheus = pytest.importorskip("libmodbus_py.services.integrations.prometheus")
     registry = client.CollectorRegistry()

@@ -106,7 +106,7 @@ async def test_a_loss_of_an_idle_connection_is_reported(server: Scripted, connec
 
 
 @served()
-async def test_the_hook_that_their_tests_call_ends_a_connection_for_the_next_request(
+async def test_on_connection_lost_ends_a_connection_until_the_next_request(
     server: Scripted, connection: Any
 ) -> None:
     connection._on_connection_lost(None)  # there is none
@@ -139,7 +139,7 @@ def test_a_callback_that_raises_has_no_effect_on_others() -> None:
 
 
 @served(timeout=SHORT)
-async def test_a_late_answer_is_not_the_next_ones(server: Scripted, connection: Any) -> None:
+async def test_a_late_answer_is_not_taken_for_the_next(server: Scripted, connection: Any) -> None:
     requests: list[bytes] = []
 
     def late(request: bytes, write: Write) -> None:
@@ -155,7 +155,7 @@ async def test_a_late_answer_is_not_the_next_ones(server: Scripted, connection: 
     assert server.connections == 1
 
 
-def test_a_late_answer_on_a_line_is_not_the_next_ones() -> None:
+def test_a_late_answer_on_a_line_is_not_taken_for_the_next() -> None:
     def frame(value: int) -> list[bytes]:
         return [make_framer("rtu", "server").encode(Frame(1, bytes([3, 2, 0, value])))]
 
@@ -175,7 +175,7 @@ def test_a_late_answer_on_a_line_is_not_the_next_ones() -> None:
 
 
 @served()
-async def test_one_request_at_a_time_whoever_asks(server: Scripted, connection: Any) -> None:
+async def test_one_request_is_in_flight_at_a_time_whoever_asks(server: Scripted, connection: Any):
     open_now: list[bytes] = []
     most = 0
 
@@ -198,8 +198,8 @@ async def test_one_request_at_a_time_whoever_asks(server: Scripted, connection: 
 
 @pytest.mark.parametrize("turns", range(12))
 @served()
-async def test_cancelled_reads_mix_no_answer(server: Scripted, connection: Any, turns: int) -> None:
-    """It leaves neither a lock held nor a link that answers the wrong request."""
+async def test_cancelled_reads_do_not_mix_answers(server: Scripted, connection: Any, turns: int):
+    """No lock stays locked, and no connection answers the wrong request."""
     asking = asyncio.create_task(read(connection, 1))
     for _ in range(turns):
         await asyncio.sleep(0)
@@ -243,7 +243,7 @@ def test_closing_while_it_connects_fails_the_request() -> None:
 
 
 @served(ignore)
-async def test_closing_cuts_a_request_that_hangs(server: Scripted, connection: Any) -> None:
+async def test_closing_cancels_a_request_without_an_answer(server: Scripted, connection: Any):
     asking = asyncio.create_task(read(connection))
     await until(lambda: server.requests)
     await connection.close()
@@ -272,7 +272,7 @@ def test_many_reconnections_leave_nothing() -> None:
     assert threading.active_count() <= threads
 
 
-def test_another_event_loop_is_refused_in_their_words() -> None:
+def test_another_event_loop_is_refused_with_the_message_of_modbus_connection() -> None:
     async def go_on() -> None:
         connection = connections.pop()
         with pytest.raises(theirs.ModbusConnectionError, match="another event loop"):
@@ -293,7 +293,7 @@ def test_another_event_loop_is_refused_in_their_words() -> None:
 
 
 @served(connect_delay=0.05)
-async def test_a_loss_while_it_waits_to_be_ready_heals(server: Scripted, connection: Any) -> None:
+async def test_a_loss_while_a_request_waits_is_repaired(server: Scripted, connection: Any) -> None:
     asking = asyncio.create_task(read(connection))
     await until(lambda: server.writers)
     server.drop_all()
@@ -322,7 +322,7 @@ def test_unit_0_of_a_line_is_a_broadcast() -> None:
 
 
 @served(echo, SHORT)
-async def test_a_unit_that_needs_longer_gets_a_new_link(server: Scripted, connection: Any) -> None:
+async def test_a_longer_timeout_gets_a_new_connection(server: Scripted, connection: Any) -> None:
     unit = connection.for_unit(1)
     await read(connection)
     unit.require_timeout(LONG)
@@ -339,7 +339,7 @@ async def test_a_unit_that_needs_longer_gets_a_new_link(server: Scripted, connec
     assert connection.statistics.connects == 2
 
 
-def test_a_unit_whose_late_answer_may_come_holds_up_no_other_unit() -> None:
+def test_a_unit_with_doubt_delays_no_other_unit() -> None:
     units: list[int] = []
 
     def answer_for_2(request: bytes, write: fake.Write) -> None:

@@ -104,7 +104,7 @@ def served(**options: Any) -> Iterator[tuple[Server, str]]:
         yield server, running.urls[0]
 
 
-def test_both_clients_and_the_server_tell_what_happened(registry: CollectorRegistry) -> None:
+def test_metrics_of_both_clients_and_the_server_match_the_requests(registry: CollectorRegistry):
     async def ask(url: str) -> Scraped:
         async with AsyncClient(url) as plc:
             collect(plc, registry=registry)
@@ -149,8 +149,8 @@ def test_both_clients_and_the_server_tell_what_happened(registry: CollectorRegis
     assert of(after, "modbus_server_requests_total") == 32
 
 
-def test_the_histogram_puts_answers_where_they_belong(registry: CollectorRegistry) -> None:
-    """Each bound that is beyond the way to the peer has an answer that comes before it."""
+def test_the_histogram_counts_each_answer_in_its_interval(registry: CollectorRegistry) -> None:
+    """Each bound longer than the network delay has an answer just below it."""
     network = Network()
     took = [0.9 * bound for bound in TIME_BOUNDS if bound > 2 * WAY]
     delays = [*(seconds - WAY for seconds in took), 60.0]
@@ -174,7 +174,7 @@ def test_the_histogram_puts_answers_where_they_belong(registry: CollectorRegistr
     assert timeouts == of_client(samples, "timeouts_total", peer.url)
 
 
-def test_the_last_success_is_a_time_of_day(registry: CollectorRegistry) -> None:
+def test_the_last_success_is_given_as_a_time_of_day(registry: CollectorRegistry) -> None:
     name = "modbus_client_last_success_timestamp_seconds"
     with served() as (_, url), Client(url) as plc:
         collect(plc, registry=registry)
@@ -209,7 +209,7 @@ def test_names_and_texts_follow_the_rules_of_prometheus(registry: CollectorRegis
     for line in text.splitlines():
         if not line.startswith("#"):
             assert re.match(r"modbus_(client|server|fleet)_[a-z_]+[ {]", line)
-    # The stricter form of the same.
+    # The stricter form of the same parser.
     strict = [*parse_openmetrics(generate_openmetrics(registry).decode())]
     assert {entry.name for entry in strict} == families.keys()
 
@@ -230,11 +230,11 @@ def test_endpoints_are_labels_without_settings(registry: CollectorRegistry) -> N
     plc = Client("rtu:///dev/null?baudrate=9600&timeout=0.1")
     collect(plc, Client("tcp://[::1]:1502?unit=3"), registry=registry)
     labels = {dict(labels).get("endpoint") for _, labels in values(registry)}
-    assert labels == {"rtu:///dev/null"}  # nobody has the other one
+    assert labels == {"rtu:///dev/null"}  # no device has the other label
     plc.close()
 
 
-def test_names_tell_servers_apart_and_equal_ones_add_up(registry: CollectorRegistry) -> None:
+def test_names_distinguish_servers_and_equal_names_are_summed(registry: CollectorRegistry) -> None:
     servers = [Server(DEVICE) for _ in range(5)]
     for number, server in enumerate(servers):
         server.statistics.accepted = 10**number
@@ -256,7 +256,7 @@ def test_a_client_is_counted_once_however_often_it_is_added(registry: CollectorR
 
 
 def test_a_counter_does_not_fall_when_one_of_two_clients_is_dropped(registry: CollectorRegistry):
-    """Prometheus would take that for a restart, and what is left for new."""
+    """Prometheus would take a lower value for a restart, and count the rest again."""
     name = "requests_sent_total"
     with served() as (_, url), Client(url) as stays:
         collect(stays, registry=registry)
@@ -308,7 +308,7 @@ def test_a_registry_has_one_collector_and_knows_its_names(registry: CollectorReg
         registry.register(Collector())
 
 
-def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegistry) -> None:
+def test_scrapes_during_load_are_right_and_never_decrease(registry: CollectorRegistry) -> None:
     """Two threads ask, two scrape."""
 
     def ask(client: Client) -> None:
@@ -342,7 +342,7 @@ def fetched(url: str) -> Scraped:
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", pytest.param("::1", marks=NEEDS_IPV6)])
-def test_metrics_are_exposed_while_the_block_runs(registry: CollectorRegistry, host: str) -> None:
+def test_metrics_are_available_inside_the_block(registry: CollectorRegistry, host: str) -> None:
     server = Server(DEVICE)
     collect(server, registry=registry)
     threads = threading.active_count()
@@ -396,14 +396,14 @@ def short_limit(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("short_limit")
-def test_an_answer_may_take_longer_than_a_client(registry: CollectorRegistry) -> None:
+def test_an_answer_may_last_longer_than_the_timeout_of_a_client(registry: CollectorRegistry):
     registry.register(Slow(10, seconds=0.05))
     with exposing("127.0.0.1", 0, registry) as url:
         assert len(fetched(url)) == 10
 
 
 @pytest.mark.usefixtures("short_limit")
-def test_a_client_that_does_not_take_the_answer_is_cut_off(registry: CollectorRegistry) -> None:
+def test_a_client_that_does_not_read_the_answer_is_disconnected(registry: CollectorRegistry):
     registry.register(Slow(2000))
     with exposing("127.0.0.1", 0, registry) as url:
         port = int(url.split(":")[2].partition("/")[0])
@@ -419,7 +419,7 @@ def test_a_client_that_does_not_take_the_answer_is_cut_off(registry: CollectorRe
     assert size < 2000 * 10_000
 
 
-def test_an_answer_without_end_ends_with_the_server(registry: CollectorRegistry) -> None:
+def test_an_infinite_answer_ends_with_the_server(registry: CollectorRegistry) -> None:
     endless = Slow(math.inf)
     registry.register(endless)
     with ThreadPoolExecutor(1) as threads:
@@ -473,7 +473,7 @@ def test_serve_says_which_extra_is_missing() -> None:
 
 
 @in_simulated_time
-async def test_each_device_is_there_once_and_goes_with_its_fleet() -> None:
+async def test_each_device_has_one_metric_until_its_fleet_is_removed() -> None:
     registry = CollectorRegistry()
     async with Peer() as peer:
         one, other = meter("a", peer.url, labels={"site 1": "Halle"}), meter("b", peer.url, unit=2)
@@ -499,7 +499,7 @@ async def test_each_device_is_there_once_and_goes_with_its_fleet() -> None:
         assert not values(registry)
 
 
-def test_a_gateway_tells_of_its_lines_and_units() -> None:
+def test_a_gateway_has_metrics_of_its_lines_and_units() -> None:
     registry = CollectorRegistry()
     with Server({5: DEVICE}).background("tcp://127.0.0.1:0") as behind:
         line = behind.urls[0]

@@ -199,7 +199,7 @@ class Process:
         self.send(None)
 
     def turn(self) -> None:
-        """One round of its loop; what waits in the inbox comes before or after its clock."""
+        """One turn of the worker's loop; waiting messages come before or after its clock."""
         if self.is_stopped:
             return
         if self.again_at is not None and not self.is_cut and self.world.now >= self.again_at:
@@ -237,7 +237,7 @@ class Process:
 
 
 class World:
-    """All of it; what happens is decided by a seed and by who calls the methods."""
+    """All workers and the bucket; a seed and calls of the methods decide the events."""
 
     def __init__(self, seed: int) -> None:
         self.random = random.Random(seed)
@@ -331,5 +331,5 @@ class World:
 
     @property
     def unasked(self) -> list[str]:
-        """Those that are there, and were not asked for a while."""
+        """The connections that exist, and were not asked for a while."""
         return [key for key in self.connections if self.last_asked.get(key, 0) < self.now - 1]

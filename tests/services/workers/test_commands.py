@@ -121,7 +121,7 @@ async def test_one_worker_answers_for_an_unknown_device(to: Listener) -> None:
 
 
 @commanded(8)
-async def test_a_command_to_a_device_of_a_dead_worker_is_answered_when_another_one_has_it(
+async def test_a_command_to_a_device_of_a_dead_worker_is_answered_by_its_successor(
     to: Listener,
 ) -> None:
     """Until then no worker knows whether it was carried out."""
@@ -153,7 +153,7 @@ async def switch(trial: Trial, commands: bool) -> None:
 
 
 @commanded()
-async def test_a_flood_of_commands_does_not_keep_devices_from_being_asked(to: Listener) -> None:
+async def test_a_flood_of_commands_does_not_delay_polls(to: Listener) -> None:
     for _ in range(1000):
         await to.client.publish("modbus.write.d0-1.setpoint", b"20")
     await asyncio.sleep(2)
@@ -196,7 +196,7 @@ async def test_a_subscription_that_fails_is_tried_again(to: Listener, failures: 
 
 
 @commanded()
-async def test_commands_that_wait_are_bounded_and_not_carried_out_any_more(
+async def test_waiting_commands_are_limited_and_dropped_when_the_worker_stops(
     to: Listener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(messages, "MOST_WAITING", 5)

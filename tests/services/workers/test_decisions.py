@@ -1,4 +1,4 @@
-"""What a worker decides at each look at its clock: what it writes, what it polls, when."""
+"""The decisions of a worker at each look at its clock: its writes and its polls."""
 
 import math
 from typing import Any
@@ -33,7 +33,7 @@ def beside_ended() -> OneWorker:
 
 
 class TestSnapshot:
-    def test_a_bucket_counts_when_it_is_whole(self) -> None:
+    def test_a_bucket_is_used_once_it_is_complete(self) -> None:
         worker = Worker(lambda: "m.1", {""})
         worker.begin_snapshot()
         assert worker.is_reading
@@ -47,7 +47,7 @@ class TestSnapshot:
         (put,) = step(worker, 0.0).puts
         assert (put.key, put.last) == ("worker.m.1", 0)
 
-    def test_a_bucket_that_went_back_is_another_one(self) -> None:
+    def test_a_restored_older_bucket_ends_all_leases(self) -> None:
         one = at_work(LINE)
         one.worker.begin_snapshot()
         one.worker.add_change(Change(SETTINGS, FleetSettings(LEASE).encode(), 1), 15.0)
@@ -56,7 +56,7 @@ class TestSnapshot:
         assert one.polled() == set()
         assert not one.worker.may_ask(LINE.key, 15.0)
 
-    def test_a_bucket_that_is_read_again_changes_nothing(self) -> None:
+    def test_reading_the_bucket_again_changes_no_lease(self) -> None:
         one = at_work(LINE, until=15.0)
         one.read_again(15.0)
         assert one.me == "m.1"
@@ -64,7 +64,7 @@ class TestSnapshot:
         assert one.polled() == {LINE.key}
         assert one.worker.may_ask(LINE.key, 15.0)
 
-    def test_a_bucket_that_is_read_again_prolongs_no_lease_of_others(self) -> None:
+    def test_reading_the_bucket_again_prolongs_no_lease_of_others(self) -> None:
         one = OneWorker()
         one.member("o.1", 0.0)
         one.steps(*every(0.0, 8.0))
@@ -129,7 +129,7 @@ class TestSlots:
         one.hold(LINE, "b.1", 2.2)
         assert asked(2.3)
 
-    def test_after_a_write_in_vain_all_is_read_again(self) -> None:
+    def test_after_a_write_without_effect_the_bucket_is_read_again(self) -> None:
         one = beside_ended()
         (beat,) = one.decided(0.0)
         one.write(beat.key, beat.value, 0.0)
@@ -142,7 +142,7 @@ class TestSlots:
 
 
 class TestAcknowledgements:
-    def test_a_connection_waits_until_all_others_have_seen_it(self) -> None:
+    def test_a_connection_is_polled_once_all_other_workers_have_seen_its_holder(self) -> None:
         one = OneWorker(LINE)
         one.member("b.1", 0.0, revision=0)
         one.hold(LINE, "m.1", by="m.1")
@@ -173,7 +173,7 @@ class TestEndedWorkers:
     """They stay for `fleet status` for a minute."""
 
     @pytest.mark.parametrize("is_needed", [False, True])
-    def test_ended_workers_are_deleted_after_a_minute_unless_they_hold_a_slot(self, is_needed):
+    def test_ended_workers_are_deleted_after_a_minute_unless_they_have_a_slot(self, is_needed):
         one = OneWorker(*[NORTH] * is_needed)
         one.member("z.1", 0.0, "ended")
         one.hold(NORTH, "z.1")
@@ -194,7 +194,7 @@ class TestBucketThatLies:
         assert one.worker.lease_until == 21.0
         assert not one.worker.may_ask(LINE.key, 20.5)
 
-    def test_a_worker_that_claims_to_have_seen_all_speaks_for_itself_only(self) -> None:
+    def test_a_worker_with_a_false_revision_counts_for_itself_only(self) -> None:
         one = OneWorker(LINE)
         one.member("b.1", revision=10**30)
         one.member("c.1", revision=0)
@@ -202,7 +202,7 @@ class TestBucketThatLies:
         one.step(0.0)
         assert one.polled() == set()
 
-    def test_of_two_claims_to_one_slot_the_last_counts_when_all_have_seen_it(self) -> None:
+    def test_the_last_of_two_claims_to_a_slot_counts_once_all_have_seen_it(self) -> None:
         one = at_work(LINE)
         one.member("b.1", 12.0)
         for holder in ("b.1", "m.1", "b.1"):
@@ -222,7 +222,7 @@ class TestBlindness:
         one.decided(at)
         return one.last.must_read_again
 
-    def test_a_worker_that_does_not_receive_its_own_values_reads_again(self) -> None:
+    def test_a_worker_that_does_not_receive_its_own_values_reads_the_bucket_again(self) -> None:
         one = OneWorker()
         assert [self.reads_again(one, at) for at in (4.9, 5.1)] == [False, True]
         one.member(one.me, 5.1)

@@ -34,7 +34,7 @@ DEPLOY = Path(__file__).parents[3] / "deploy"
 
 
 @pytest.mark.timeout(300)
-def test_the_configuration_of_nats_works_as_it_stands(tmp_path, monkeypatch, capsys):
+def test_the_configuration_of_nats_is_valid(tmp_path, monkeypatch, capsys):
     """And a worker waits for servers that are still starting, and bears the loss of a leader."""
     assert main(["certificates", str(tmp_path), "127.0.0.1"]) == 0
     certificates = tmp_path / "127.0.0.1"
@@ -136,7 +136,7 @@ async def viewer_may_only_look(client: Any, refused: asyncio.Queue[Exception]) -
 
 @pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="no systemd here")
 @pytest.mark.parametrize("command", ["serve", "gateway", "poll", "worker"])
-def test_systemd_takes_the_unit(command, tmp_path):
+def test_systemd_accepts_the_unit(command, tmp_path):
     unit = tmp_path / f"libmodbus-py-{command}.service"
     text = (DEPLOY / unit.name).read_text()
     # Its program is not installed here.
@@ -151,7 +151,7 @@ def test_systemd_takes_the_unit(command, tmp_path):
     assert lines == []
 
 
-def test_files_that_compose_mounts_and_reads_are_explained_beside_it():
+def test_files_in_the_compose_file_are_explained():
     """The client for compose files is not a package of Debian; names at least must be right."""
     text = (DEPLOY / "compose.yaml").read_text()
     conf = (DEPLOY / "nats-server.conf").read_text()

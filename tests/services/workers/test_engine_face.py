@@ -113,7 +113,7 @@ def mosquitto(port: int, topic: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.timeout(300)
-def test_outcomes_commands_and_status_go_over_the_engine(tmp_path):
+def test_outcomes_and_commands_and_status_use_the_engine(tmp_path):
     mqtt = free_ports(1)[0]
     engine = "lease = 2\ncommands = true"
     with (

@@ -234,7 +234,7 @@ def test_no_device_is_polled_by_two_workers(fault, make):
     assert world.unasked == []
 
 
-def test_a_slow_way_loses_no_lease(monkeypatch):
+def test_a_slow_network_loses_no_lease(monkeypatch):
     """A write and its change take 0.3 of a lease, and both workers wait as long."""
     world = settled(processes=2, connections=10)
     monkeypatch.setattr(world.random, "random", lambda: 1.0)

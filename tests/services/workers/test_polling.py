@@ -44,7 +44,7 @@ def record_of(trial: Trial) -> dict[str, Any]:
 
 
 @on_trial(2)
-async def test_a_worker_waits_for_the_longest_lease_reports_and_records_its_end(trial: Trial):
+async def test_a_worker_waits_for_the_longest_lease_and_records_its_end(trial: Trial):
     await trial.start("a")
     took = await trial.all_asked(2 * LEASE)
     assert LEASE < took < LEASE + INTERVAL + 1
@@ -67,7 +67,7 @@ async def test_a_worker_ends_within_seconds_although_the_engine_is_gone(trial: T
 
 
 @on_trial(1, "a")
-async def test_a_connection_that_is_closed_for_good_or_the_end_of_an_output_ends_it(
+async def test_a_closed_connection_or_the_end_of_an_output_ends_the_worker(
     trial: Trial, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A worker that cannot reach NATS any more must not look alive."""
@@ -127,7 +127,7 @@ async def test_a_worker_watches_again_when_the_bucket_does_not_arrive_whole(
 
 
 @on_trial(1, "a")
-async def test_a_worker_alone_decides_as_often_as_it_renews_its_lease(trial: Trial, monkeypatch):
+async def test_a_single_worker_decides_as_often_as_it_renews_its_lease(trial: Trial, monkeypatch):
     decided: list[float] = []
 
     def counted(worker: Worker, at: float, report: Any) -> Decision:

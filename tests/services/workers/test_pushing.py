@@ -47,7 +47,7 @@ async def test_only_what_differs_is_written_and_counted(engine: Engine, client: 
 
 
 @with_engine
-async def test_nothing_is_pushed_where_others_do_at_the_same_time(
+async def test_nothing_is_pushed_while_others_push(
     engine: Engine, client: EngineClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     put, leases = engine.put, iter(range(11, 99))
@@ -76,7 +76,7 @@ async def test_a_bucket_that_does_not_arrive_is_given_up_after_ten_seconds(
     assert engine._consumers == []
 
 
-def test_devices_of_a_connection_are_together() -> None:
+def test_devices_of_a_connection_are_in_one_record() -> None:
     first, second = device(1, "a", unit=1, timeout=0.2), device(1, "b", unit=2, timeout=0.7)
     (connection,) = connections_of([first, second], LEASE)
     assert connection.timeout == 0.7
@@ -91,6 +91,6 @@ def test_an_answer_may_take_three_tenths_of_a_lease() -> None:
 
 
 @pytest.mark.parametrize("zone", ["a.b", "a b", "*", ">", "a" * 61])
-def test_a_zone_that_is_no_key_is_refused(zone: str) -> None:
+def test_a_zone_that_cannot_be_a_key_is_refused(zone: str) -> None:
     with pytest.raises(ValueError, match="zone"):
         connections_of([device(1, zone=zone)], LEASE)

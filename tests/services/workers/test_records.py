@@ -67,7 +67,7 @@ KEY = "tcp:192.0.2.99:502"
     ids=str,
 )
 @on_trial(2, settings=FleetSettings(LEASE, commands=True))
-async def test_devices_in_any_form_cost_no_answer_and_no_poll(trial: Trial, devices) -> None:
+async def test_invalid_devices_in_a_record_affect_no_answer_and_no_poll(trial: Trial, devices):
     await trial.start("a", "b")
     await trial.settle()
     value = {"connection": KEY, "timeout": 0.1, "devices": devices}
@@ -84,7 +84,7 @@ def reading(name: str, value: Any, *, time: float = 100.0) -> Reading:
 
 
 @with_engine
-async def test_the_readings_of_a_poll_are_one_message_and_a_repeated_one_is_dropped(
+async def test_a_poll_is_one_message_and_a_repeated_one_is_dropped(
     engine: Engine, client: EngineClient
 ) -> None:
     stream = Stream(cast(Any, client), {})

@@ -33,7 +33,7 @@ async def test_a_killed_worker_is_replaced_when_its_lease_is_over(trial: Trial) 
 
 
 @on_trial(6, "a", "b")
-async def test_a_worker_that_joins_gets_its_share_soon_and_without_a_gap(trial: Trial) -> None:
+async def test_a_joining_worker_gets_its_share_soon_and_without_a_gap(trial: Trial) -> None:
     await trial.start("c")
     assert await trial.until(lambda: len(trial.asked.hosts()) == 3, 60) < 2.0
     await asyncio.sleep(2)
@@ -42,7 +42,7 @@ async def test_a_worker_that_joins_gets_its_share_soon_and_without_a_gap(trial: 
 
 
 @on_trial(6, "a", "b", "c")
-async def test_a_worker_that_leaves_is_replaced_at_once(trial: Trial) -> None:
+async def test_a_leaving_worker_is_replaced_at_once(trial: Trial) -> None:
     await trial.workers.pop("b").leave()
     assert await trial.all_asked(60) < 2 * INTERVAL
     await asyncio.sleep(2 * LEASE)
@@ -54,7 +54,7 @@ async def test_a_worker_that_leaves_is_replaced_at_once(trial: Trial) -> None:
 
 @pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
 @on_trial(6, "a", "b", "c")
-async def test_a_worker_that_stood_still_polls_no_device_of_others(trial: Trial, seconds) -> None:
+async def test_a_worker_that_was_stopped_polls_no_device_of_others(trial: Trial, seconds) -> None:
     process = trial.workers["b"].process
     process.stop()
     await asyncio.sleep(seconds)
@@ -104,7 +104,7 @@ async def test_without_the_engine_no_worker_polls_beyond_its_lease(trial: Trial,
 
 
 @on_trial(2, "a", settings=FleetSettings(LEASE, "continue"))
-async def test_a_worker_polls_on_without_the_engine_if_its_settings_say_so(trial: Trial) -> None:
+async def test_a_worker_continues_without_the_engine_if_its_settings_say_so(trial: Trial) -> None:
     trial.engine.stop()
     start = trial.now
     await asyncio.sleep(10)
@@ -122,7 +122,7 @@ async def test_a_worker_polls_on_without_the_engine_if_its_settings_say_so(trial
 
 
 @on_trial(6, "a", "b", "c")
-async def test_a_slow_engine_loses_leases_and_no_device(trial: Trial) -> None:
+async def test_a_slow_engine_loses_leases_but_no_device(trial: Trial) -> None:
     for worker in trial.workers.values():
         worker.client.link.delay = (0.3, 0.6)
     await asyncio.sleep(10)
@@ -142,7 +142,7 @@ async def test_one_worker_polls_after_a_restored_engine(trial: Trial, seconds: f
 
 
 @on_trial(4, "a", "b")
-async def test_the_time_of_day_may_be_set_to_any_time(trial: Trial, monkeypatch) -> None:
+async def test_the_time_of_day_may_be_set_to_any_value(trial: Trial, monkeypatch) -> None:
     """Leases do not end or grow, and no reading is taken for one that was sent before."""
     for hours in (-1, 2):
         monkeypatch.setattr(network, "EPOCH", network.EPOCH + 3600 * hours)
@@ -155,7 +155,7 @@ async def test_the_time_of_day_may_be_set_to_any_time(trial: Trial, monkeypatch)
 
 
 @on_trial(6, "a", "b", "c")
-async def test_a_bucket_that_is_deleted_stops_all_until_it_is_pushed_again(trial: Trial, caplog):
+async def test_a_deleted_bucket_stops_all_workers_until_it_is_pushed_again(trial: Trial, caplog):
     trial.engine.delete_bucket()
     since = trial.now
     await asyncio.sleep(2 * LEASE)
@@ -168,7 +168,7 @@ async def test_a_bucket_that_is_deleted_stops_all_until_it_is_pushed_again(trial
 
 
 @on_trial(6)
-async def test_a_change_reaches_the_workers_within_a_second_and_touches_nothing_else(trial: Trial):
+async def test_a_change_reaches_the_workers_within_a_second_and_affects_nothing_else(trial: Trial):
 
     await push_fleet(trial.engine, trial.devices(4), trial.settings)
     await trial.start("a", "b")
@@ -188,7 +188,7 @@ async def test_a_change_reaches_the_workers_within_a_second_and_touches_nothing_
 
 
 @on_trial(2, "a", "b")
-async def test_a_device_that_is_pushed_away_is_offline(trial: Trial) -> None:
+async def test_a_device_removed_from_the_bucket_is_offline(trial: Trial) -> None:
     await push_fleet(trial.engine, trial.devices(1), trial.settings)
     await trial.until(trial.offline, LEASE)
     assert len(trial.offline()) == 2 * UNITS
@@ -199,7 +199,7 @@ async def test_a_device_that_is_pushed_away_is_offline(trial: Trial) -> None:
 
 
 @on_trial(2, "a")
-async def test_the_last_worker_that_leaves_takes_all_back(trial: Trial) -> None:
+async def test_the_last_worker_to_leave_reports_all_devices_offline(trial: Trial) -> None:
     await trial.workers.pop("a").leave()
     assert trial.qualities() == ["offline"]
 

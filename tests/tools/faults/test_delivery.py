@@ -51,7 +51,7 @@ BYTES: list[tuple[Fault, Framer, list[tuple[float, str]]]] = [
 
 
 @pytest.mark.parametrize(("fault", "framer", "fragments"), BYTES)
-def test_each_fault_sends_its_bytes_at_its_times(fault, framer, fragments) -> None:
+def test_each_fault_sends_its_bytes_in_its_intervals(fault, framer, fragments) -> None:
     writes = [(fragment.wait, fragment.data.hex()) for fragment in fault.fragments(ANSWER, framer)]
     assert writes == fragments
 
@@ -70,7 +70,7 @@ def test_random_bytes_are_the_same_with_a_seed() -> None:
 
 
 @pytest.mark.parametrize(("unit", "other"), [(0, 1), (1, 2), (246, 247), (247, 1), (255, 9)])
-def test_another_unit_is_one_that_a_line_can_have(unit: int, other: int) -> None:
+def test_the_fault_wrong_unit_uses_a_unit_that_a_line_can_have(unit: int, other: int) -> None:
     (fragment,) = Fault("wrong_unit").fragments(ANSWER._replace(unit=unit), TcpFramer())
     assert fragment.data[6] == other
 
@@ -101,14 +101,14 @@ def blocks(client: LanClient, requests: bytes) -> bool:
         (Fault("delay", every=50, seconds=0.001), b"\x03\0\0\0\x08"),
     ],
 )
-def test_a_client_that_gets_no_more_answers_is_not_read(lan: Lan, fault, request_) -> None:
+def test_requests_of_a_client_that_gets_no_more_answers_are_not_read(lan: Lan, fault, request_):
     with serving(lan, "tcp", fault) as url, lan.client(url) as flood:
         assert blocks(flood, adu(request_) * 10_000)
 
 
 @pytest.mark.parametrize("length", [None, 5, 512])
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
-def test_a_fault_sends_its_part_before_it_closes_the_connection(lan: Lan, scheme, length):
+def test_a_fault_sends_its_bytes_before_it_closes_the_connection(lan: Lan, scheme, length):
     fault = Fault("disconnect", function=3, length=length)
     with serving(lan, scheme, fault) as url, lan.client(url) as connection:
         if scheme == "tcp":
@@ -121,7 +121,7 @@ def test_a_fault_sends_its_part_before_it_closes_the_connection(lan: Lan, scheme
         assert connection.receive(100) == before + answer[: length or 0]
 
 
-def test_a_request_behind_one_that_closes_the_connection_is_not_executed(lan: Lan) -> None:
+def test_a_request_after_one_that_closes_the_connection_is_not_executed(lan: Lan) -> None:
     units = {1: make_device(), 2: make_device()}
     write = b"\x06\0\x01\0\x09"
     fault = Fault("disconnect", function=3)
@@ -136,7 +136,7 @@ def test_a_request_behind_one_that_closes_the_connection_is_not_executed(lan: La
     assert units[2].mapping.holding_registers[1] == 0
 
 
-def test_a_disconnect_comes_after_answers_that_are_kept_back(lan: Lan) -> None:
+def test_a_disconnect_comes_after_delayed_answers(lan: Lan) -> None:
     faults = [Fault("delay", function=1, seconds=100), Fault("disconnect", function=3, length=512)]
     with serving(lan, "tcp", *faults) as url, lan.client(url) as connection:
         connection.sendall(adu(b"\x01\0\0\0\x01", 1) + adu(READ, 2) + adu(READ, 3))
@@ -144,7 +144,7 @@ def test_a_disconnect_comes_after_answers_that_are_kept_back(lan: Lan) -> None:
         assert connection.receive(100) == answers
 
 
-def test_garbage_and_disconnects_of_datagrams(lan: Lan) -> None:
+def test_garbage_and_disconnects_work_on_datagrams(lan: Lan) -> None:
     faults = [
         Fault("garbage", function=3, data=b"\xaa", place="behind"),
         Fault("disconnect", function=1, length=4),

@@ -24,12 +24,12 @@ def hits(faults: Faults, count: int, request: Frame = REQUEST) -> list[int]:
 
 
 @given(every=st.integers(1, 50), count=st.integers(0, 200))
-def test_every_nth_request_is_hit(every: int, count: int) -> None:
+def test_every_nth_request_has_the_fault(every: int, count: int) -> None:
     faults = Faults({1: [Fault("no_answer", every=every)]})
     assert hits(faults, count) == list(range(every, count + 1, every))
 
 
-def test_a_seed_hits_the_same_requests_each_time() -> None:
+def test_a_seed_selects_the_same_requests_each_time() -> None:
     fault = Fault("no_answer", probability=0.25, seed=7)
     first = hits(Faults({1: [fault]}), 1000)
     assert first == hits(Faults({1: [fault]}), 1000)
@@ -40,7 +40,7 @@ def test_a_seed_hits_the_same_requests_each_time() -> None:
     assert hits(Faults({1: [Fault("no_answer", probability=1)]}), 3) == [1, 2, 3]
 
 
-def test_only_the_unit_and_the_function_are_hit_and_counted() -> None:
+def test_only_the_given_unit_and_function_have_the_fault_and_are_counted() -> None:
     faults = Faults({1: [Fault("no_answer", function=3, every=2)]})
     assert hits(faults, 1) == []
     assert hits(faults, 5, Frame(2, READ)) == []
@@ -76,7 +76,7 @@ RANGES: list[tuple[dict[str, Any], pdu.Request[Any], bool]] = [
 
 
 @pytest.mark.parametrize(("where", "request_", "is_hit"), RANGES, ids=str)
-def test_only_requests_that_touch_the_range_are_hit_and_counted(where, request_, is_hit) -> None:
+def test_only_requests_in_the_range_have_the_fault_and_are_counted(where, request_, is_hit) -> None:
     faults = Faults({1: [Fault("no_answer", every=2, **where)]})
     request = Frame(1, request_.encode())
     assert hits(faults, 4, request) == ([2, 4] if is_hit else [])

@@ -25,7 +25,7 @@ from tests.simulation.lan import Lan
 from tests.tools.faults.serving import FOREVER, READ, REQUEST, adu, client_of, make_device, serving
 
 
-def test_a_range_that_fails_leaves_the_rest_of_the_device_alone(lan: Lan) -> None:
+def test_a_range_with_a_fault_leaves_the_rest_of_the_device_unchanged(lan: Lan) -> None:
     bad = Fault("exception", code=4, table="holding_registers", address=2)
     with serving(lan, "tcp", bad) as url, client_of(url) as client:
         assert client.read_holding_registers(0, 2) == [555, 0]
@@ -46,7 +46,7 @@ def test_units_without_faults_are_answered_in_c(lan: Lan, monkeypatch) -> None:
             client.for_unit(2).read_coils(0, 1)
 
 
-def test_an_answer_in_c_waits_behind_one_that_a_fault_delays(lan: Lan) -> None:
+def test_an_answer_in_c_waits_for_an_earlier_delayed_one(lan: Lan) -> None:
     fault = Fault("delay", seconds=100)
     with serving(lan, "tcp", fault, of=2) as url, lan.client(url) as connection:
         coil = b"\x01\0\0\0\x01"
@@ -57,7 +57,7 @@ def test_an_answer_in_c_waits_behind_one_that_a_fault_delays(lan: Lan) -> None:
         assert connection.receive(len(answer)) == answer
 
 
-def test_the_first_fault_that_is_due_happens_and_all_count() -> None:
+def test_the_first_due_fault_is_applied_and_all_are_counted() -> None:
     own = [Fault("delay", every=2, seconds=1), Fault("no_answer", every=3)]
     faults = Faults({None: [Fault("exception", code=4)], 1: own})
     due = [faults.due(REQUEST, has_transaction=True) for _ in range(6)]
@@ -68,7 +68,7 @@ def test_the_first_fault_that_is_due_happens_and_all_count() -> None:
     assert other.kind == "exception"
 
 
-def test_faults_of_all_units_also_hit_units_that_do_not_exist(lan: Lan) -> None:
+def test_faults_of_all_units_also_apply_to_units_that_do_not_exist(lan: Lan) -> None:
     fault = Fault("exception", code=10, every=2)
     with serving(lan, "tcp", fault, of=None) as url, client_of(url, unit=99) as client:
         with pytest.raises(GatewayTargetFailedToRespond):
@@ -77,7 +77,7 @@ def test_faults_of_all_units_also_hit_units_that_do_not_exist(lan: Lan) -> None:
             client.read_coils(0, 1)
 
 
-def test_on_serial_lines_unanswered_requests_are_not_counted(lan: Lan) -> None:
+def test_on_serial_lines_a_fault_does_not_count_unanswered_requests(lan: Lan) -> None:
     fault = Fault("exception", code=6, every=2)
     with serving(lan, "rtu", fault, of=None) as url, client_of(url, timeout=2) as client:
         client.for_unit(0).write_register(0, 7)
@@ -96,7 +96,7 @@ def test_a_device_in_listen_only_mode_stays_silent(lan: Lan) -> None:
             client.read_holding_registers(0, 1)
 
 
-def test_a_refused_write_is_not_executed_and_all_others_are(lan: Lan) -> None:
+def test_only_the_refused_write_is_not_executed(lan: Lan) -> None:
     for kind in KINDS:
         if kind in ("delay", "trickle"):
             continue
@@ -115,7 +115,7 @@ def test_a_refused_write_is_not_executed_and_all_others_are(lan: Lan) -> None:
 
 
 @pytest.mark.parametrize("transport", ["rtu", "tcp"])
-def test_counters_know_the_refusals_of_a_fault(lan: Lan, transport: str) -> None:
+def test_event_counters_do_not_count_requests_refused_by_a_fault(lan: Lan, transport: str) -> None:
     fault = Fault("exception", code=6, function=3)
     with serving(lan, transport, fault) as url, client_of(url, timeout=2) as client:
         for _ in range(3):
@@ -128,7 +128,7 @@ def test_counters_know_the_refusals_of_a_fault(lan: Lan, transport: str) -> None
         assert read(pdu.SubFunction.SERVER_MESSAGE_COUNT) == 7
 
 
-def test_a_reserved_function_gets_no_answer_and_no_fault(lan: Lan) -> None:
+def test_a_response_code_gets_no_answer_and_no_fault(lan: Lan) -> None:
     fault = Fault("exception", code=6)
     with serving(lan, "tcp", fault, of=None) as url, lan.client(url) as connection:
         connection.sendall(adu(b"\x83\x01", 1) + adu(READ, 2))
@@ -139,7 +139,7 @@ def test_a_reserved_function_gets_no_answer_and_no_fault(lan: Lan) -> None:
     "fault", [Fault("delay", seconds=FOREVER), Fault("trickle", seconds=FOREVER)]
 )
 @pytest.mark.parametrize("unit", [1, 2])
-def test_others_are_answered_while_the_fault_lasts(lan: Lan, fault: Fault, unit: int) -> None:
+def test_other_clients_are_answered_during_a_fault(lan: Lan, fault: Fault, unit: int) -> None:
     # The other client asks another unit, or the same one by another function.
     only = Fault(fault.kind, function=3, seconds=fault.seconds)
     with serving(lan, "tcp", only) as url, lan.client(url) as slow:
@@ -154,7 +154,7 @@ def test_others_are_answered_while_the_fault_lasts(lan: Lan, fault: Fault, unit:
 
 
 @pytest.mark.parametrize("change", ["switched_off", "turned_off", "replaced"])
-def test_a_fault_that_ends_while_a_request_is_out_holds_for_that_request_only(lan: Lan, change):
+def test_a_fault_that_is_removed_lasts_for_its_delayed_answer_only(lan: Lan, change):
     server = Server({1: make_device()})
     with server.background("tcp://10.0.0.1:0") as running, lan.client(running.urls[0]) as slow:
         switched = server.fault_switch.switch_on(Fault("delay", seconds=5))
@@ -179,7 +179,7 @@ def test_a_fault_that_ends_while_a_request_is_out_holds_for_that_request_only(la
         assert lan.now - start < 4.5
 
 
-def test_a_server_stops_while_answers_wait(lan: Lan) -> None:
+def test_a_server_stops_while_answers_are_delayed(lan: Lan) -> None:
     fault = Fault("delay", seconds=FOREVER)
     with serving(lan, "tcp", fault, of=None) as url:
         clients = [lan.client(url) for _ in range(5)]
@@ -196,7 +196,7 @@ def test_a_server_stops_while_answers_wait(lan: Lan) -> None:
     assert lan.now - start < 0.01
 
 
-def test_a_client_that_leaves_costs_its_answers_only(lan: Lan) -> None:
+def test_a_client_that_disconnects_loses_only_its_own_answers(lan: Lan) -> None:
     with serving(lan, "tcp", Fault("delay", function=3, seconds=50)) as url:
         for _ in range(10):
             with lan.client(url) as connection:

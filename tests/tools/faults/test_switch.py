@@ -30,7 +30,7 @@ def code_of(client: Client) -> int | None:
     return None
 
 
-def test_the_latest_comes_first_and_the_given_last() -> None:
+def test_the_latest_fault_comes_first_and_those_of_the_server_last() -> None:
     server = make_server(GIVEN)
     mine = server.fault_switch.switch_on(MINE, MINE)
     server.fault_switch.switch_on(YOURS, unit=1)
@@ -40,7 +40,7 @@ def test_the_latest_comes_first_and_the_given_last() -> None:
     assert happening(server) == [(1, 6), (1, 4)]
 
 
-def test_one_fault_is_turned_off_and_on_in_its_place() -> None:
+def test_one_fault_is_turned_off_and_on_again_in_its_place() -> None:
     server = make_server(GIVEN, MINE)
     yours = server.fault_switch.switch_on(YOURS)
     first = server.fault_switch.states()[0]
@@ -59,7 +59,7 @@ def test_one_fault_is_turned_off_and_on_in_its_place() -> None:
         server.fault_switch.turn(first, is_on=True)
 
 
-def test_replace_changes_what_was_given_and_nothing_else() -> None:
+def test_replace_changes_only_the_faults_given_to_the_server() -> None:
     server = make_server(GIVEN)
     mine = server.fault_switch.switch_on(MINE, unit=1)
     server.replace(server.devices, faults={1: [YOURS]})
@@ -71,7 +71,7 @@ def test_replace_changes_what_was_given_and_nothing_else() -> None:
     assert happening(server) == [(1, 6)]
 
 
-def test_switched_faults_go_on_counting() -> None:
+def test_removed_faults_keep_their_counts() -> None:
     server = make_server()
     second = Fault("exception", code=6, every=2)
     codes = []
@@ -94,14 +94,14 @@ def test_switched_faults_go_on_counting() -> None:
         ((MINE,), "1", "unit must be an integer"),
     ],
 )
-def test_a_wrong_argument_changes_nothing(faults: Any, unit: Any, message: str) -> None:
+def test_a_wrong_argument_changes_no_fault(faults: Any, unit: Any, message: str) -> None:
     server = make_server(GIVEN)
     with pytest.raises((TypeError, ValueError), match=message):
         server.fault_switch.switch_on(*faults, unit=unit)
     assert happening(server) == [(1, 4)]
 
 
-def test_devices_that_are_refused_change_no_fault() -> None:
+def test_refused_devices_change_no_fault() -> None:
     server = make_server(GIVEN)
     with pytest.raises(TypeError, match="must be a Device"):
         server.replace({1: 5}, faults={1: [YOURS]})  # type: ignore[dict-item]
@@ -109,7 +109,7 @@ def test_devices_that_are_refused_change_no_fault() -> None:
     assert server.faults == {1: [GIVEN]}
 
 
-def test_many_threads_leave_what_was_given() -> None:
+def test_many_threads_leave_only_the_faults_given_to_the_server() -> None:
     server = make_server(GIVEN)
 
     def switching() -> None:

@@ -25,11 +25,11 @@ def names_in(map: RegisterMap, stem: str = "meter") -> dict[str, Any]:
     return space
 
 
-def test_the_class_of_the_type_checkers_is_as_it_is_written_now() -> None:
+def test_the_generated_class_is_the_recorded_one() -> None:
     assert class_text(load_map(TYPING / "meter.csv"), "meter") == (TYPING / "meter.py").read_text()
 
 
-def test_a_class_reads_and_writes() -> None:
+def test_values_are_read_and_written_with_a_generated_class() -> None:
     map = load_map(TYPING / "meter.csv")
     device = Device.of_map(map, {"voltage": 230.5, "energy total": 7, "serial number": "A1"})
     with Server(device).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
@@ -94,7 +94,7 @@ def test_attributes_have_the_types_of_their_points(point: Point, kind: str) -> N
     assert list(names_in(RegisterMap([point]))["MAP"].values()) == [point]
 
 
-def test_a_value_that_may_be_missing_is_none_and_another_raises() -> None:
+def test_an_optional_value_may_be_none_and_a_required_one_raises() -> None:
     map = RegisterMap(
         [
             Point("a", "holding_registers", 0, missing=0xFFFF),
@@ -135,7 +135,7 @@ TEXTS = [
 
 
 @each_case("text", TEXTS)
-def test_descriptions_stay_texts(text: str) -> None:
+def test_descriptions_remain_plain_text(text: str) -> None:
     check_texts(RegisterMap([Point("a", "coils", 0, description=text)]))
 
 
@@ -143,7 +143,7 @@ PRINTABLE = st.characters(exclude_categories=["C", "Z"])
 
 
 @given(st.text(PRINTABLE, min_size=1, max_size=20), st.text(PRINTABLE | st.just("\n"), max_size=80))
-def test_any_text_stays_a_text(name: str, description: str) -> None:
+def test_any_text_is_written_as_a_plain_text(name: str, description: str) -> None:
     check_texts(RegisterMap([Point(name, "holding_registers", 0, description=description)]))
 
 
@@ -230,7 +230,7 @@ TOOLS = Path(sys.executable).parent
     not ((TOOLS / "ruff").exists() and (TOOLS / "mypy").exists()),
     reason="ruff and mypy are installed by ./run lint",
 )
-def test_checkers_take_a_map_of_nasty_names(tmp_path: Path) -> None:
+def test_mypy_and_pyright_accept_a_map_with_difficult_names(tmp_path: Path) -> None:
     (tmp_path / "meter.py").write_text(class_text(NASTY, "meter"))
     (tmp_path / "none.py").write_text(class_text(RegisterMap([Point("a", "coils", 0)]), "class"))
     mypy = [TOOLS / "mypy", "--strict", "--follow-imports=silent", "--cache-dir", tmp_path / "c"]

@@ -53,7 +53,7 @@ def test_a_spreadsheet_as_excel_saves_it(tmp_path: Path, encoding: str, begin: s
     ]
 
 
-def test_a_column_that_is_named_must_be_there(tmp_path: Path) -> None:
+def test_a_named_column_must_exist(tmp_path: Path) -> None:
     path = tmp_path / "map.csv"
     path.write_text("name,address\na,40001\n")
     with pytest.raises(MapError, match="line 1: no column Faktor, which is named for scale"):
@@ -67,7 +67,7 @@ def test_a_column_that_is_named_must_be_there(tmp_path: Path) -> None:
 
 
 @each_case("table", sorted((Path(__file__).parent / "tables").glob("*.csv")))
-def test_tables_of_vendors_are_the_maps_beside_them(table: Path) -> None:
+def test_tables_of_vendors_are_equal_to_the_maps_beside_them(table: Path) -> None:
     """Beside each table stands what it means, in TOML."""
     assert list(load_map(table).values()) == list(load_map(table.with_suffix(".toml")).values())
 
@@ -108,7 +108,7 @@ def test_all_mistakes_are_found_up_to_a_number(tmp_path: Path) -> None:
     ]
 
 
-def test_a_value_that_may_be_an_oversight_is_noted(tmp_path: Path) -> None:
+def test_a_suspicious_value_is_noted(tmp_path: Path) -> None:
     (tmp_path / "meter.csv").write_text(
         "name,address,table,type,scale,Vendor's own,More\n"
         "whole,40001,holding,uint32,-2,,\n"
@@ -144,7 +144,7 @@ POINTS = st.builds(
 
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(POINTS, min_size=1, max_size=5, unique_by=lambda point: point.name))
-def test_a_written_map_is_read_as_it_was(tmp_path: Path, points: list[Point]) -> None:
+def test_a_written_map_is_the_same_when_it_is_read(tmp_path: Path, points: list[Point]) -> None:
     assert list(loaded(tmp_path, csv_text(points)).values()) == points
     assert list(loaded(tmp_path, toml_text(points), "METER.TOML").values()) == points
 
@@ -163,7 +163,7 @@ JUNK = st.sampled_from(
 @example(b"name,address\n" + b"," * 200_000)
 @example(b"name,address\na," + b"4" * 400_000)
 @example(b"name,address,fc\na,1," + b"fc0x " * 80_000)
-def test_anything_else_is_a_mistake(tmp_path: Path, content: bytes) -> None:
+def test_any_other_content_is_a_mistake(tmp_path: Path, content: bytes) -> None:
     messages: list[str] = []
     for name in ("meter.csv", "meter.toml"):
         try:

@@ -23,7 +23,7 @@ from tests.support.cases import each_case
 from tests.support.golden import Refused
 
 
-def test_every_key_can_stand_in_a_cell_that_csv_has_a_column_for() -> None:
+def test_every_key_that_csv_has_a_column_for_can_be_in_a_cell() -> None:
     assert set(POINT) <= set(READERS)
     not_in_cells = {"map", "dead_bands", "labels"}
     columns = {key.name for key in fleet_files.DEVICE.values() if key.kind in CELLS}
@@ -69,7 +69,7 @@ def test_a_wrong_key_has_a_suggestion(tmp_path: Path, text: str, suggestion: str
     assert str(raised.value).endswith(f"; {suggestion}")
 
 
-def test_amounts_have_units() -> None:
+def test_amounts_may_have_units() -> None:
     for text, value in (("90 days", 7_776_000), ("1.5h", 5400), ("2 weeks", 1_209_600)):
         assert in_seconds("keep", text, "1 s", "100 years") == value
     for text, value in (("2 GB", 2 * 10**9), ("1 GiB", 1 << 30), ("0.5 MB", 500_000)):
@@ -183,7 +183,7 @@ FORMATS: dict[str, Callable[[Path, list[Point]], list[Point]]] = {
 
 @each_case("key", list(EXAMPLES))
 @pytest.mark.parametrize("form", list(FORMATS))
-def test_a_format_has_the_key(tmp_path_factory, form, key) -> None:
+def test_each_file_format_has_the_key(tmp_path_factory, form, key) -> None:
     points = points_of(key)
     if form == "device file":  # where it is called `value`
         points = [replace(point, initial=None) for point in points]

@@ -136,7 +136,7 @@ class TestReader:
             except CaptureError as error:
                 assert "\n" not in str(error)  # noqa: PT017  # either is right
 
-    def test_others_have_their_turn_in_a_loop(self) -> None:
+    def test_a_loop_runs_other_tasks_while_a_capture_is_read(self) -> None:
         async def read_all() -> tuple[int, int]:
             turns = count = 0
 
@@ -156,7 +156,7 @@ class TestReader:
         turns, count = asyncio.run(read_all())
         assert turns >= count > 40
 
-    def test_no_file_is_written_over(self, tmp_path: Path) -> None:
+    def test_no_existing_file_is_overwritten(self, tmp_path: Path) -> None:
         file, other = write(tmp_path / "x.pcapng"), tmp_path / "other"
         other.write_text("kept")
         for capture in (file, other):
@@ -164,7 +164,7 @@ class TestReader:
                 listen(str(file), capture=capture)
         assert (file.read_bytes(), other.read_text()) == (DECODED.read_bytes(), "kept")
 
-    def test_a_pipe_is_written_to(self, tmp_path: Path) -> None:
+    def test_a_capture_may_be_written_to_a_pipe(self, tmp_path: Path) -> None:
         pipe = tmp_path / "pipe"
         os.mkfifo(pipe)
         reads = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
@@ -196,18 +196,18 @@ class TestReader:
         ):
             fill()
 
-    def test_a_capture_of_a_capture_is_the_same(self, tmp_path: Path) -> None:
+    def test_a_capture_of_a_capture_is_equal(self, tmp_path: Path) -> None:
         copy = tmp_path / "copy.pcapng"
         with listen(str(DECODED), capture=copy) as line:
             first = list(line)
         assert [str(packet) for packet in read(copy)] == [str(entry) for entry in first]
 
-    def test_a_file_that_is_not_there(self) -> None:
+    def test_a_missing_file_is_an_error(self) -> None:
         with pytest.raises(FileNotFoundError):
             listen("nowhere.pcapng")
 
 
-def test_a_tap_outlives_its_capture(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_tap_continues_after_its_capture_failed(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     path, device = tmp_path / "x.pcapng", Device(Mapping(holding_registers={0: [7]}))
     with (
         Server(device).background("rtu+tcp://127.0.0.1:0") as running,

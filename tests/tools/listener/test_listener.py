@@ -107,7 +107,7 @@ def port() -> Iterator[Line]:
 
 
 @pytest.mark.parametrize("framing", ["rtu", "ascii"])
-def test_a_client_and_a_server_on_a_line(port: Line, framing: str, device: Device) -> None:
+def test_transactions_of_a_client_and_a_server_are_heard(port: Line, framing: str, device: Device):
     with (
         SerialWire() as wire,
         Server({UNIT: device}).background(f"{framing}://{wire.server}?baudrate=115200"),
@@ -133,7 +133,7 @@ def test_a_client_and_a_server_on_a_line(port: Line, framing: str, device: Devic
 
 
 class TestPort:
-    def test_nothing_is_written_and_nothing_locked(self, port: Line) -> None:
+    def test_a_listener_writes_no_byte_and_locks_no_port(self, port: Line) -> None:
         with listen(f"rtu://{port.path}"):
             descriptors = [
                 int(link.name)
@@ -219,7 +219,7 @@ class TestEnding:
         asyncio.get_running_loop().call_later(0.1, line.close)
         assert [entry async for entry in line] == []
 
-    def test_cancelling_loses_nothing(self, port: Line) -> None:
+    def test_a_cancelled_wait_loses_no_transaction(self, port: Line) -> None:
         async def heard() -> Transaction:
             async with listen(f"rtu://{port.path}") as line:
                 for _ in range(5):
@@ -235,7 +235,7 @@ class TestEnding:
 
         assert asyncio.run(heard()).response == [7]
 
-    def test_nothing_is_left_without_a_call_of_close(self, port: Line, tmp_path: Path) -> None:
+    def test_a_listener_without_a_call_of_close_leaves_nothing(self, port: Line, tmp_path: Path):
         capture = tmp_path / "x.pcapng"
         with listen(f"rtu://{port.path}", capture=capture):
             pass
@@ -255,7 +255,7 @@ class TestEnding:
             port.say(ASK + ANSWER)
             assert next(line).response == [7]
 
-    def test_rest_gives_what_is_open(self, port: Line) -> None:
+    def test_rest_returns_unfinished_transactions(self, port: Line) -> None:
         with listen(f"rtu://{port.path}") as line:
             port.say(ASK + ANSWER + ASK)
             assert next(line).kind == "answered"

@@ -65,7 +65,7 @@ WRITTEN = ("valve", "secret")
         ([UNANSWERED], []),
     ],
 )
-def test_values_of_a_map_in_transactions(pairs, values) -> None:
+def test_transactions_have_the_values_of_a_map(pairs, values) -> None:
     decoder = MapDecoder(POINTS)
     decodings = [entry for transaction in pairs_of(*pairs) for entry in decoder.decode(transaction)]
     assert [(decoding.name, decoding.value) for decoding in decodings] == values
@@ -74,7 +74,7 @@ def test_values_of_a_map_in_transactions(pairs, values) -> None:
     assert [item.is_written for item in decodings] == [item.name in WRITTEN for item in decodings]
 
 
-def test_units_keep_their_own_cells() -> None:
+def test_cells_of_each_unit_are_separate() -> None:
     decoder, separator = MapDecoder(POINTS), Separator("rtu")
     values = []
     for at, text in enumerate(
@@ -85,7 +85,7 @@ def test_units_keep_their_own_cells() -> None:
     assert values == []
 
 
-def test_a_map_is_learned_of_what_was_asked() -> None:
+def test_a_map_is_derived_from_requests() -> None:
     learned = LearnedMap()
     again = ("03 006B 0003", "03 06 08FE 0001 0002")
     for entry in pairs_of(READ_3, again, REFUSED, COIL, MASK, ("04 0010 0001", "84 02")):
@@ -102,7 +102,7 @@ def test_a_map_is_learned_of_what_was_asked() -> None:
     assert {point.group for point in points.values()} == {"unit 17"}
 
 
-def test_a_broadcast_has_the_values_that_it_writes_and_no_others() -> None:
+def test_a_broadcast_has_only_the_values_that_it_writes() -> None:
     decoder, learned, separator = MapDecoder(POINTS), LearnedMap(), Separator("rtu")
     values = []
     transactions = separator.feed(rtu("00 03 006B 0003"), 0.0)  # a mistake of the master

@@ -133,7 +133,7 @@ ETHERNET = bytes(12)
         (276, b"\x08\0" + bytes(18)),
     ],
 )
-def test_captures_of_each_link_type_are_read(link: int, head: bytes, tmp_path: Path) -> None:
+def test_captures_of_each_link_type_are_decoded(link: int, head: bytes, tmp_path: Path) -> None:
     path = tmp_path / "x.pcap"
     other = ETHERNET + b"\x08\x06" + bytes(28) if link == 1 else b""  # ARP, or nothing
     path.write_bytes(pcap([head + entry for entry in TWO] + [other], link))
@@ -141,7 +141,7 @@ def test_captures_of_each_link_type_are_read(link: int, head: bytes, tmp_path: P
 
 
 @each_case("order", ["<", ">"])
-def test_captures_of_each_byte_order_and_resolution_are_read(order: str, tmp_path: Path) -> None:
+def test_captures_of_each_byte_order_and_resolution_are_decoded(order: str, tmp_path: Path) -> None:
     files = [pcap(TWO, 101, order, nanos=nanos) for nanos in (False, True)]
     files += [pcapng(TWO, 101, order, resolution) for resolution in (3, 6, 9, 0x8A)]
     for data in files:
@@ -153,7 +153,7 @@ def test_captures_of_each_byte_order_and_resolution_are_read(order: str, tmp_pat
         assert first.duration == pytest.approx(0.001, abs=1e-3)
 
 
-def test_ipv6_with_an_extension_header_is_read(tmp_path: Path) -> None:
+def test_ipv6_with_an_extension_header_is_decoded(tmp_path: Path) -> None:
     packets = [
         ip_6(tcp(ASKED, 1, asks=True, ports=(50000, 502)), asks=True),
         ip_6(tcp(ANSWERED, 1, asks=False, ports=(50000, 502)), asks=False),
@@ -212,7 +212,7 @@ BOTH = ASKED + ASKED_2
         ],
     ],
 )
-def test_segments_are_put_together(packets: list[bytes], tmp_path: Path) -> None:
+def test_tcp_segments_are_joined(packets: list[bytes], tmp_path: Path) -> None:
     assert sorted(read_of(tmp_path, packets)) == sorted(LINES)
 
 

@@ -48,7 +48,7 @@ def replayed(capture: Path) -> Iterator[Client]:
         yield client
 
 
-def test_each_request_gets_its_answers_in_order_then_the_last_again(replayed: Client) -> None:
+def test_each_request_gets_its_answers_in_order_and_then_the_last_again(replayed: Client) -> None:
     answers = [replayed.read_holding_registers(107, 3) for _ in range(4)]
     assert answers == [[555, 0, 100], [555, 0, 101], [555, 0, 101], [555, 0, 101]]
     assert replayed.read_coils(19, 19)[:2] == [True, False]
@@ -68,7 +68,7 @@ def test_a_request_that_is_not_in_the_capture_gets_exception_4_and_is_logged(
     assert caplog.messages == [text]
 
 
-def test_a_request_that_had_no_response_gets_none(capture: Path) -> None:
+def test_a_request_without_a_response_in_the_capture_gets_none(capture: Path) -> None:
     device = replayed_devices(capture)[2]
     assert device.answer(pdu.ReadInputRegisters(0, 1).encode()) == b""
 

@@ -71,7 +71,7 @@ def test_every_example_of_the_specification_finds_its_answer(framing: str, step:
     assert len(transactions) == len(pairs) > 15
 
 
-def test_question_and_answer_with_their_times() -> None:
+def test_a_request_and_its_answer_have_their_times() -> None:
     (pair,) = listen([(100.0, ASK), (100.25, ANSWER)])
     assert (pair.kind, pair.time, pair.unit, pair.function) == ("answered", 100.0, 1, 3)
     assert (pair.request, pair.response) == (pdu.ReadHoldingRegisters(0, 2), [7, 9])
@@ -80,7 +80,7 @@ def test_question_and_answer_with_their_times() -> None:
     assert pair.is_good
 
 
-def test_refusals_and_requests_without_an_answer_or_with_a_wrong_one() -> None:
+def test_refusals_and_unanswered_and_wrongly_answered_requests_are_told_apart() -> None:
     (refused,) = listen([(0.0, ASK), (0.1, REFUSAL)])
     assert (refused.kind, getattr(refused.error, "code", None)) == ("exception", 2)
     (silent,) = listen([(0.0, ASK)])
@@ -91,7 +91,7 @@ def test_refusals_and_requests_without_an_answer_or_with_a_wrong_one() -> None:
     assert (alone.kind, alone.unit, alone.request) == ("unasked", 1, None)
 
 
-def test_requests_that_are_not_decoded_keep_their_bytes() -> None:
+def test_undecoded_requests_keep_their_bytes() -> None:
     (refused,) = listen([(0.0, rtu("01 03 00 00 00 00")), (0.1, rtu("01 83 03"))])
     assert (refused.request, refused.kind) == (pdu.RawRequest(3, bytes(4)), "exception")
     (unknown,) = listen([(0.0, rtu("01 41 AA BB")), (0.1, rtu("01 41 CC"))])
@@ -99,7 +99,7 @@ def test_requests_that_are_not_decoded_keep_their_bytes() -> None:
     assert unknown.response == b"\xcc"
 
 
-def test_every_kind_says_what_it_is() -> None:
+def test_each_kind_of_transaction_has_a_text() -> None:
     for kind in get_args(Kind):
         assert str(Transaction(0.0, kind))
 
@@ -181,7 +181,7 @@ def test_frames_on_a_line_become_transactions(pieces: list[Piece], text: str) ->
 
 
 @each_case("question", ECHOED)
-def test_an_echo_is_the_answer_if_it_comes_soon_and_else_the_question(question: str) -> None:
+def test_an_equal_frame_is_the_answer_if_it_comes_soon_and_else_a_repetition(question: str) -> None:
     write = rtu("01" + question)
     assert kinds([(0.0, write), (0.005, write)]) == ["answered"]
     assert kinds([(0.0, write), (1.0, write), (1.005, write)]) == ["unanswered", "answered"]
@@ -194,7 +194,7 @@ def test_an_echo_is_the_answer_if_it_comes_soon_and_else_the_question(question: 
         (0.002, 0.05, [200.0, 200.05, 200.052], ["unanswered", "answered"]),
     ],
 )
-def test_the_limit_is_learnt(answers, timeout, last, text) -> None:
+def test_the_time_limit_for_answers_is_adapted(answers, timeout, last, text) -> None:
     """The unit takes so long to answer, and the client waits so long for an answer."""
     pieces: list[Piece] = []
     for number in range(10):
@@ -213,7 +213,7 @@ def test_repeats_are_counted_and_late_answers_named() -> None:
     assert late.duration == pytest.approx(1.1)
 
 
-def test_a_doubled_echo_is_unasked() -> None:
+def test_a_second_copy_of_an_echo_is_unasked() -> None:
     pieces = [(0.0, WRITE), (1.0, WRITE), (1.01, WRITE), (1.02, WRITE), (1.05, ASK), (1.06, ANSWER)]
     assert kinds(pieces) == ["unanswered", "answered", "unasked", "answered"]
     parts = [part for part, _ in parts_of(pieces)]
@@ -259,7 +259,7 @@ def test_noise_is_reported_before_it_ends_with_bounded_memory(framing: str) -> N
 
 @each_case("framing", ["rtu", "ascii"])
 @each_case("seed", range(30))
-def test_a_line_that_is_in_order_again_is_understood(framing: str, seed: int) -> None:
+def test_a_line_is_decoded_again_after_damage(framing: str, seed: int) -> None:
     """Whatever comes before, nothing is raised."""
     choose = random.Random(seed)
     separator = Separator(framing)  # type: ignore[arg-type]
@@ -290,7 +290,7 @@ FRONT = bytes([1, 3, 0xFA, 0, 0])
         ([(ASK, "client"), (ANSWER[:3], "server")], {0.5: [], 9.0: [("damaged", ANSWER[:3])]}),
     ],
 )
-def test_a_transaction_that_is_over_is_returned_without_another_byte(pieces, results) -> None:
+def test_a_finished_transaction_is_returned_without_another_byte(pieces, results) -> None:
     separator = Separator("rtu")
     for data, direction in pieces:
         assert separator.feed(data, 0.0, direction) == []
@@ -320,7 +320,7 @@ def test_a_framing_that_does_not_exist_is_refused() -> None:
         Separator("tcp")  # type: ignore[arg-type]
 
 
-def test_scripts_of_any_size_give_the_same() -> None:
+def test_bytes_in_pieces_of_any_size_give_the_same_transactions() -> None:
     """However the bytes are cut, and whenever they are seen, they mean the same."""
     writes = rtu("02 10 00 01 00 01 02 00 05") + rtu("02 10 00 01 00 01")
     data = ASK + ANSWER + WRITE + WRITE + writes

@@ -56,14 +56,14 @@ def flood(client: socket.socket) -> None:
         client.sendall(bytes(1_000_000))
 
 
-def test_an_idle_link_ends_at_both_sides(tapped: Tapped, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_idle_link_closes_both_sides(tapped: Tapped, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sources, "IDLE", 0.05)
     client, device = tapped.connected()
     assert (client.recv(1), device.recv(1)) == (b"", b"")
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_a_link_that_one_side_has_left_waits_less_for_the_other(first, tapped: Tapped, monkeypatch):
+def test_a_link_with_one_closed_side_has_a_shorter_timeout(first, tapped: Tapped, monkeypatch):
     monkeypatch.setattr(sources, "LEAVING", 0.05)
     ends = tapped.connected()
     assert passes(ends)
@@ -72,14 +72,14 @@ def test_a_link_that_one_side_has_left_waits_less_for_the_other(first, tapped: T
     assert ends[first].recv(1) == b""
 
 
-def test_a_side_that_takes_nothing_ends_it(tapped: Tapped, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_side_that_never_reads_ends_the_link(tapped: Tapped, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(sources, "LEAVING", 0.05)
     client, _ = tapped.connected()
     with pytest.raises(ConnectionError):
         flood(client)
 
 
-def test_the_one_that_was_idle_longest_makes_room(tapped: Tapped, monkeypatch) -> None:
+def test_the_longest_idle_connection_is_closed_for_a_new_one(tapped: Tapped, monkeypatch) -> None:
     monkeypatch.setattr(timed_server, "MOST_CONNECTIONS", 2)
     first, second = tapped.connected(), tapped.connected()
     assert passes(second)
@@ -90,7 +90,7 @@ def test_the_one_that_was_idle_longest_makes_room(tapped: Tapped, monkeypatch) -
     assert (second[0].recv(1), second[1].recv(1)) == (b"", b"")
 
 
-def test_closing_ends_one_that_is_being_connected() -> None:
+def test_closing_a_tap_ends_an_attempt_to_connect() -> None:
     with mute_port() as port:
         line = listen("rtu+tcp://127.0.0.1:0", between=f"rtu+tcp://127.0.0.1:{port}")
         place = "127.0.0.1", int(line.url.rpartition(":")[2])
@@ -101,14 +101,14 @@ def test_closing_ends_one_that_is_being_connected() -> None:
             assert client.recv(1) == b""
 
 
-def test_the_system_probes_both_sides(tapped: Tapped, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_keepalive_is_set_on_both_sides(tapped: Tapped, monkeypatch: pytest.MonkeyPatch) -> None:
     probed: list[tuple[socket.socket, float]] = []
     monkeypatch.setattr(sources, "keep_alive", lambda *given: probed.append(given))
     assert passes(tapped.connected())
     assert [seconds for _, seconds in probed] == [sources.KEEPALIVE] * 2
 
 
-def test_a_forked_child_that_closes_its_copy_ends_neither(tapped: Tapped) -> None:
+def test_a_forked_child_that_closes_its_copy_closes_no_connection(tapped: Tapped) -> None:
     ends = tapped.connected()
     assert passes(ends)
     child = os.fork()

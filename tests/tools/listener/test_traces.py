@@ -151,14 +151,14 @@ def test_a_trace_on_a_line_becomes_transactions(events: list[Event], kinds: str)
 
 
 @each_case(("events", "kinds"), ON_LINES)
-def test_a_listener_between_both_reports_the_same(events: list[Event], kinds: str) -> None:
+def test_a_listener_on_both_sides_reports_the_same_transactions(events: list[Event], kinds: str):
     separator, transactions = Separator("rtu"), []
     for at, direction, adu, _, _ in events:
         transactions += separator.feed(adu, at, "client" if direction == "received" else "server")
     assert texts(transactions + separator.end()) == kinds
 
 
-def test_a_response_that_comes_too_late_is_late() -> None:
+def test_a_late_response_is_marked_as_late() -> None:
     pairing = TracePairing()
     pairing.take(traced(ask(0, READ), TCP))
     pairing.tick(TIMEOUT)
@@ -169,7 +169,7 @@ def test_a_response_that_comes_too_late_is_late() -> None:
     assert pairing.done[1].transaction.duration == TIMEOUT + 2
 
 
-def test_the_oldest_of_many_requests_and_connections_is_given_up() -> None:
+def test_the_oldest_of_too_many_requests_or_connections_is_dropped() -> None:
     requests, connections = TracePairing(timeout=math.inf), TracePairing(timeout=math.inf)
     for number in range(MOST + 1):
         requests.take(traced(ask(number, tcp(READ_PDU, number)), TCP))

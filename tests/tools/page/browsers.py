@@ -177,7 +177,7 @@ class Person:
         return until(lambda: self.all(selector))[0]
 
     def text(self, selector: str) -> str:
-        """As it stands there, also where it is scrolled out of sight."""
+        """The text of an element, also where it is scrolled out of sight."""
         texts: str = self.run(
             "return [...document.querySelectorAll(arguments[0])].map(e => e.textContent).join('|')",
             selector,
@@ -204,7 +204,7 @@ class Person:
         def is_done() -> bool:
             try:
                 until(found)[0].click()
-            except StaleElementReferenceException:  # it was drawn again in that moment
+            except StaleElementReferenceException:  # the element was drawn again at that time
                 return False
             return True
 

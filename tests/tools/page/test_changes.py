@@ -28,7 +28,7 @@ VALUES: list[tuple[str, str, str]] = [
 ]
 
 
-def test_values_that_are_typed_are_set() -> None:
+def test_typed_values_are_set() -> None:
     with page_of() as (_, _, visitor), visitor.watching():
         visitor.look(1, "points", 0, 100)
         visitor.receive(lambda: visitor.rows("1/points"))
@@ -63,7 +63,7 @@ def test_an_invalid_change_is_reported(refused: Refused) -> None:
         refused("refused.txt", visitor.refused)
 
 
-def test_a_value_that_the_device_computes_is_reported() -> None:
+def test_a_value_that_the_device_computes_cannot_be_set() -> None:
     mapping = Mapping(input_registers=4)
 
     def compute(access: Access) -> None:
@@ -104,7 +104,7 @@ def visitor(tmp_path: Path) -> Iterator[Visitor]:
         yield visitor
 
 
-def test_a_held_value_can_be_set_and_moves_again_afterwards(visitor: Visitor) -> None:
+def test_a_held_value_can_be_set_and_moves_again_after_its_release(visitor: Visitor) -> None:
     level = {"unit": 1, "point": 0, "name": "level"}
 
     def row() -> tuple[str, bool | None, list[int]]:
@@ -139,7 +139,7 @@ def device_of(file: Path) -> SimulatedDevice:
     return devices if isinstance(devices, SimulatedDevice) else devices[1]
 
 
-def test_a_held_value_is_held_after_its_file_was_read_again(tmp_path: Path) -> None:
+def test_a_held_value_stays_held_after_its_file_was_read_again(tmp_path: Path) -> None:
     file = tmp_path / "plant.toml"
     file.write_text(PLANT)
     before = device_of(file)
@@ -189,7 +189,7 @@ def test_a_fault_that_is_added_on_the_page_hits_requests() -> None:
             until(lambda: plc.read_holding_registers(0, 1) is None)
 
 
-def test_others_may_change_devices_and_faults() -> None:
+def test_a_page_shows_changes_that_other_code_makes() -> None:
     with page_of() as (server, _, visitor), visitor.watching():
         visitor.look(1, "holding_registers", 0, 8)
         visitor.receive(lambda: visitor.cells("1/holding_registers"))

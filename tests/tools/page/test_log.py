@@ -47,7 +47,7 @@ def test_the_log_has_the_last_writer_of_each_cell() -> None:
     assert visitor.rows("written")[4]["who"] == "this page"
 
 
-def test_the_log_is_text() -> None:
+def test_the_log_is_shown_as_text() -> None:
     with page_of() as (_, url, visitor), visitor.watching():
         with Client(url, unit=1) as plc:
             plc.read_holding_registers(100, 3)
@@ -89,7 +89,7 @@ def test_the_log_is_text() -> None:
         (pdu.ReadFifoQueue(2), [1, 2], ""),
     ],
 )
-def test_the_log_names_the_points_of_requests(request_: Any, response: Any, text: str) -> None:
+def test_the_log_contains_the_point_names_of_requests(request_: Any, response: Any, text: str):
     unit = shown_of(make_server()).units[1]
     assert named_cells(unit, request_, response) == text
 
@@ -113,7 +113,7 @@ def saved(visitor: Visitor, query: str) -> list[list[str]]:
     return list(csv.reader(io.StringIO(data.decode())))
 
 
-def test_the_saved_log_has_the_chosen_rows() -> None:
+def test_the_saved_log_has_the_selected_rows() -> None:
     with visitor_of() as visitor:
         every = saved(visitor, "")
         assert every[0][:6] == ["time", "client", "unit", "function", "request", "points"]
@@ -134,7 +134,7 @@ def test_the_saved_log_has_the_chosen_rows() -> None:
         assert names[:2] == [("level 12.5 m", True), ("level 12.5 m", False)]
 
 
-def test_no_cell_is_a_formula() -> None:
+def test_no_cell_of_the_log_is_a_formula() -> None:
     log = Log(lambda: ShownServer({}, {}))
     row = LogRow(1, 0.0, "@x", 1, 3, "", "", "answered", None, named="=HYPERLINK(1)")
     log._rows.append(row)

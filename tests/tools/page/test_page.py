@@ -38,7 +38,7 @@ def test_the_first_message_has_all_tables() -> None:
     assert all(isinstance(row, int) for row in visitor.rows("counters"))
 
 
-def test_points_are_shown_with_their_values_and_only_what_changes_is_sent() -> None:
+def test_a_page_gets_points_with_values_and_then_only_changes() -> None:
     with page_of() as (_, url, visitor), visitor.watching():
         visitor.look(1, "points", 0, 100)
         visitor.receive(lambda: visitor.points("1/points"))
@@ -52,7 +52,7 @@ def test_points_are_shown_with_their_values_and_only_what_changes_is_sent() -> N
         assert keys == {"1"}
 
 
-def test_cells_are_shown_as_far_as_they_are_looked_at() -> None:
+def test_a_page_gets_only_the_cells_in_view() -> None:
     with page_of() as (_, url, visitor), visitor.watching():
         visitor.look(1, "holding_registers", 100, 110)
         cells = visitor.receive(lambda: visitor.cells("1/holding_registers"))
@@ -69,7 +69,7 @@ def test_cells_are_shown_as_far_as_they_are_looked_at() -> None:
         visitor.receive(lambda: visitor.seen.get("1/holding_registers") == {})
 
 
-def test_the_server_itself_is_its_only_device() -> None:
+def test_a_single_device_has_the_unit_of_the_server() -> None:
     server = Server({7: Device(Mapping(holding_registers=8))})
     with live_page(server) as page, server.background("tcp://127.0.0.1:0") as running:
         visitor = Visitor(page.url)
@@ -79,7 +79,7 @@ def test_the_server_itself_is_its_only_device() -> None:
     assert visitor.rows("written")[0]["unit"] == 7
 
 
-def test_two_pages_of_a_server_on_one_token_follow_it_and_end_alone() -> None:
+def test_two_pages_of_a_server_with_one_token_work_independently() -> None:
     server = make_server()
     with live_page(server, token=TOKEN) as second, Visitor(second.url).watching() as other:
         with live_page(server, token=TOKEN) as first:
@@ -130,7 +130,7 @@ def test_a_moving_value_is_computed_when_it_is_shown(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError, SystemExit])
-def test_a_hook_that_fails_is_logged_once_and_the_page_works(error, caplog) -> None:
+def test_a_hook_that_fails_is_logged_once_and_the_page_continues(error, caplog) -> None:
     def broken(access: Access) -> None:
         raise error
 

@@ -24,11 +24,11 @@ def raw(visitor: Visitor, data: bytes, *, ends: bool = False) -> bytes:
     """Send bytes, give all that comes back."""
     received = b""
     with socket.create_connection(visitor.address, 20) as connection:
-        with suppress(OSError):  # it may have had enough before
+        with suppress(OSError):  # the page may have closed the connection before
             connection.sendall(data)
             if ends:
                 connection.shutdown(socket.SHUT_WR)
-        with suppress(ConnectionResetError):  # it did not read all of it
+        with suppress(ConnectionResetError):  # the page did not read all bytes
             while piece := connection.recv(65536):
                 received += piece
     return received
@@ -153,7 +153,7 @@ BYTES = [
 ]
 
 
-def test_invalid_requests_and_bytes_of_no_request() -> None:
+def test_invalid_requests_to_a_page_are_refused() -> None:
     with page_of() as (_, _, visitor):
         for method, path, body, headers, status in REQUESTS:
             assert visitor.ask(method, path, body, **headers)[0] == status, (path, body, headers)
@@ -164,7 +164,7 @@ def test_invalid_requests_and_bytes_of_no_request() -> None:
         assert visitor.ask("GET", "/")[0] == 200
 
 
-def test_a_connection_without_a_request_delays_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_connection_without_a_request_does_not_delay_others(monkeypatch: pytest.MonkeyPatch):
     """More of them than connections; who trickles has gone in time, too."""
     with page_of() as (_, _, visitor), ExitStack() as stack:
         before = threading.active_count()
@@ -196,7 +196,7 @@ def test_the_number_of_open_pages_is_limited() -> None:
         assert visitor.ask("GET", "/")[0] == 200
 
 
-def test_a_hundred_pages_that_go_leave_nothing() -> None:
+def test_a_hundred_closed_pages_leave_nothing() -> None:
     threads = threading.active_count()
     with page_of() as (_, _, visitor):
         url, before = f"http://{visitor.host}/?token={visitor.token}", 0
@@ -218,7 +218,7 @@ def _visited(url: str) -> bool:
         return False
 
 
-def test_a_page_that_does_not_read_gets_all_tables_when_it_does() -> None:
+def test_a_slow_page_gets_all_tables_when_it_reads_again() -> None:
     with page_of() as (server, _, visitor), socket.socket() as slow:
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         slow.settimeout(20)
@@ -253,7 +253,7 @@ def test_a_signal_ends_a_server_with_open_streams() -> None:
             assert program.wait() == 0
 
 
-def test_an_invalid_page_gets_one_line() -> None:
+def test_a_page_with_an_invalid_request_gets_one_line() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         place = f"127.0.0.1:{listener.getsockname()[1]}"
         result = run("serve", "tcp://127.0.0.1:0", "--page", place, environment=PAGE_TOKEN)
@@ -270,7 +270,7 @@ OUTER_URLS = {
 
 
 @each_case("url", OUTER_URLS)
-def test_changes_come_from_the_outer_url(url: str) -> None:
+def test_changes_are_accepted_from_the_outer_url(url: str) -> None:
     origin = OUTER_URLS[url]
     with (
         HeldPort() as port,

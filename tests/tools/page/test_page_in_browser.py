@@ -57,7 +57,7 @@ def test_a_browser_shows_and_changes_values() -> None:
         until(lambda: plc.read_holding_registers(2, 1) == [125])
         person.sees("#answer", "set")
 
-        # What cannot be is told beside the field.
+        # A value that is refused is reported beside the field.
         person.enters("#text", "hot")
         person.click("#set")
         person.sees("#answer", "value must be a number, not 'hot'")
@@ -118,7 +118,7 @@ def test_a_browser_shows_and_changes_values() -> None:
         assert [complaint for complaint in complaints if "/value - " not in complaint] == []
 
 
-def test_large_tables_and_a_server_that_goes() -> None:
+def test_a_browser_shows_large_tables_and_a_stopped_server() -> None:
     mapping = Mapping(coils=65536, holding_registers=65536)
     mapping.holding_registers[65535] = 4711
     with person_at() as person:
@@ -126,7 +126,7 @@ def test_large_tables_and_a_server_that_goes() -> None:
             person.driver.get(f"{page.url}#every/holding_registers")
             person.sees("#state", "connected")
             person.sees('[data-cell="0"]', "0")
-            assert len(person.all("[data-cell]")) < 1000  # only what is seen is there
+            assert len(person.all("[data-cell]")) < 1000  # only the rows in view exist
             person.one("#address").send_keys("65535\n")
             person.sees('[data-cell="65535"]', "4711")
             assert person.focused("data-cell") == "65535"
@@ -277,7 +277,7 @@ class HeldSource(TableSource):
         return super().view(query)
 
 
-def test_searches_do_not_overtake_each_other() -> None:
+def test_the_result_of_the_latest_search_is_shown() -> None:
     """The server would go on showing the view of the one that came last."""
     source = HeldSource(plant_of(3000))
     with table_page(source) as page, person_at(page.url) as person:
@@ -293,7 +293,7 @@ def test_searches_do_not_overtake_each_other() -> None:
         assert source.searched == ["p", "p1234"]
 
 
-def test_hours_of_the_journal_and_values_that_come_when_they_change() -> None:
+def test_a_browser_shows_hours_of_the_journal_and_values_reported_on_change() -> None:
     now = time.time()
     hours = [(now - 20_000 + at * 100, float(at)) for at in range(150)]
     plant = plant_of(3, every=None, older=lambda *names: hours)
@@ -327,7 +327,7 @@ return [document.documentElement.scrollWidth > innerWidth, box.scrollWidth > box
 
 
 @pytest.mark.parametrize("width", [360, 1280])
-def test_names_and_reasons_are_text_and_shown_as_a_whole(width: int) -> None:
+def test_long_and_hostile_names_are_shown_as_plain_text(width: int) -> None:
     plant = Plant(title="<script>document.title='hit'</script>")
     names = [*HOSTILE, "n" * 1_000_000]
     plant.describe(*((name, name) for name in names), ("meter", "p1"))
@@ -351,7 +351,7 @@ def test_names_and_reasons_are_text_and_shown_as_a_whole(width: int) -> None:
         until(lambda: person.attribute("#grid", "aria-rowcount") == "3")
         person.sees("#rows tr.trouble .state", "192.0.2.10: Connection refused")
         assert person.run(CUT) == []
-        person.click("#problems")  # there, rows have room for more words
+        person.click("#problems")  # on this page, rows have room for more words
         meter.reason = f"cannot connect to {'a-long-name.' * 8}: Connection refused"
         person.sees("#rows tr.trouble .state", "a-long-name.: Connection refused")
         assert person.run(CUT) == []
@@ -361,7 +361,7 @@ def test_names_and_reasons_are_text_and_shown_as_a_whole(width: int) -> None:
         assert person.complaints() == []
 
 
-def test_a_page_that_lost_its_server_is_grey_and_returns_by_itself() -> None:
+def test_a_page_that_lost_its_server_is_grey_and_reconnects() -> None:
     with person_at() as person:
         with table_page(TableSource(plant_of(5)), token=TOKEN) as page:
             port = Visitor(page.url).address[1]

@@ -23,7 +23,7 @@ def made(*values: Any, most: int = 10) -> Samples:
     return sampled(enumerate(values, 100), None, most)
 
 
-def test_the_latest_samples_are_kept_and_the_extremes_of_all() -> None:
+def test_the_latest_samples_and_the_extremes_of_all_are_kept() -> None:
     samples = made(50, *range(30), most=4)
     assert samples.pairs() == [(127, 26), (128, 27), (129, 28), (130, 29)]
     assert samples.pairs(since=128) == [(129, 28), (130, 29)]
@@ -42,7 +42,7 @@ def test_a_sparkline_has_the_last_samples_in_20_levels() -> None:
     assert made(-1e308, 1e308).spark() == [10, 10]  # the span is not a number
 
 
-def test_samples_that_are_too_close_replace_each_other_but_a_gap_hides_no_number() -> None:
+def test_a_sample_soon_after_another_replaces_it_but_a_gap_never_does() -> None:
     samples = sampled([(1.0, 5), (1.1, 9), (1.2, None), (2.0, None), (2.1, 4)])
     assert samples.pairs() == [(1.0, 9), (2.0, 4)]
     assert (samples.low, samples.high) == (4, 9)
@@ -56,7 +56,7 @@ def test_samples_that_are_too_close_replace_each_other_but_a_gap_hides_no_number
         (None, [1, 2, 3]),  # it came when it changed
     ],
 )
-def test_a_time_without_samples_is_a_gap(every: float | None, values: list[float | None]) -> None:
+def test_a_period_without_samples_is_a_gap(every: float | None, values: list[float | None]) -> None:
     points = [(1.0, 1.0), (2.0, 2.0), (5.5, 3.0)]
     samples = sampled(points, every)
     assert [sample for _, sample in samples.pairs()] == values
@@ -64,7 +64,7 @@ def test_a_time_without_samples_is_a_gap(every: float | None, values: list[float
     assert [point for _, point in with_gaps([*points], every)] == values
 
 
-def test_samples_are_in_the_order_of_time_and_a_gap_is_one_of_them() -> None:
+def test_samples_and_gaps_are_in_the_order_of_time() -> None:
     set_back = [(50, 1), (60, 2), (10, 3), (11, 4)]
     assert sampled(set_back).pairs() == sorted(set_back)
     with_a_gap = [(1, 1), (2, None), (900, None), (5000, 2)]
@@ -97,7 +97,7 @@ class Counters:
         return [] if series is None else series.samples.pairs()
 
 
-def test_a_number_is_what_changed_in_the_seconds_since_the_last_sample() -> None:
+def test_a_rate_is_the_change_divided_by_the_seconds_since_the_last_sample() -> None:
     counters = Counters()
     for seconds, requests in ((1.0, 50), (0.25, 10), (0.25, 10), (1.5, 30), (3.0, 0)):
         counters.go_on(seconds, requests)
@@ -107,7 +107,7 @@ def test_a_number_is_what_changed_in_the_seconds_since_the_last_sample() -> None
     assert counters.numbers()[-2:] == [(1006.4, None), (1100.0, 0.5)]
 
 
-def test_numbers_over_time_are_those_of_the_time_between() -> None:
+def test_rates_are_computed_over_the_time_between_samples() -> None:
     counters = Counters(Counts(100, 90, 2.0, 5))
     counters.set(3.0, Counts(130, 100, 2.2, 1))
     counters.set(3.0, Counts(131, 101, 2.2012345, 2))

@@ -21,7 +21,7 @@ def count(visitor: Visitor) -> Any:
     return visitor.seen.get("view", {}).get("count")
 
 
-def test_rows_come_when_they_are_looked_at_and_change_when_their_values_do() -> None:
+def test_rows_are_sent_when_in_view_and_when_their_values_change() -> None:
     plant = Plant()
     plant.describe(*(("meter", f"p{at}") for at in range(500)))
     with visited(plant) as visitor:
@@ -50,7 +50,7 @@ def test_rows_are_found_by_words() -> None:
         assert names(visitor) == ["meter 44", "Load", "I"]
 
 
-def test_a_device_that_is_down_is_one_problem_with_its_reason_in_words() -> None:
+def test_a_device_that_is_down_is_one_problem_with_a_readable_reason() -> None:
     plant = Plant()
     plant.describe(*((f"meter {at}", name) for at in range(9) for name in ("Load", "I")))
     for at in range(9):
@@ -76,7 +76,7 @@ def test_a_device_that_is_down_is_one_problem_with_its_reason_in_words() -> None
         visitor.receive(lambda: count(visitor) == 0)
 
 
-def test_devices_that_are_replaced_vanish_and_their_history_stays_with_those_that_do_not() -> None:
+def test_replaced_devices_disappear_and_others_keep_their_history() -> None:
     plant = Plant()
     plant.describe(("a", "x"), ("b", "x"))
     plant.put("a", "x", 1)
@@ -97,7 +97,7 @@ def test_devices_that_are_replaced_vanish_and_their_history_stays_with_those_tha
     ("every", "before"),
     [(10.0, [1.0, 2.0, None, 3.0, None]), (300.0, [1.0, 2.0, 3.0, None]), (None, [1.0, 2.0, 3.0])],
 )
-def test_history_is_that_of_memory_and_before_it_that_of_the_journal_with_gaps(every, before):
+def test_history_comes_from_memory_and_before_that_from_the_journal(every, before):
     queries: list[Any] = []
     now = time.time()
 
@@ -140,7 +140,7 @@ def test_wrong_requests_are_refused(refused: Refused) -> None:
         refused("refused_tables.txt", lambda row: visitor.refused((row[0], right | row[1])))
 
 
-def test_long_names_are_cut_and_hostile_ones_arrive_as_text() -> None:
+def test_long_names_are_shortened_and_hostile_ones_arrive_as_text() -> None:
     plant = Plant(title="<b>" + "t" * 1_000_000)
     texts = [*HOSTILE, "n" * 1_000_000]
     plant.describe(*((name, name) for name in texts))
@@ -174,7 +174,7 @@ def test_long_names_are_cut_and_hostile_ones_arrive_as_text() -> None:
         (list(range(99)), ", ".join(map(str, range(20))) + ", ..."),
     ],
 )
-def test_values_are_shown_as_text(value: Any, text: str) -> None:
+def test_values_are_converted_to_text(value: Any, text: str) -> None:
     assert value_text(value) == text
 
 

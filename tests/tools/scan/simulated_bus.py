@@ -48,7 +48,7 @@ def line(units: dict[int, Device]) -> Iterator[SerialWire]:
             stack.enter_context(Server(units).background(f"rtu://{wire.server}"))
         before = _settings(wire.client)
         yield wire
-        if os.path.exists(wire.client):  # else it was unplugged
+        if os.path.exists(wire.client):  # otherwise the line was unplugged
             until(lambda: _settings(wire.client) == before)
 
 

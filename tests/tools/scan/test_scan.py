@@ -19,8 +19,8 @@ from tests.support.peers import FakeServer, mbap, mute_port, refusing, url_of
 from tests.support.pymodbus_peers import pymodbus_serving
 from tests.tools.scan.simulated_bus import Member, SimulatedBus, answering, line, of, served
 
-QUICK = 0.05  # seconds for the answer of somebody who is not there
-PATIENT = 1.0  # for one who is, on a busy machine
+QUICK = 0.05  # seconds for the answer of a missing unit
+PATIENT = 1.0  # seconds for the answer of a unit, on a busy machine
 
 READING = {1, 2, 3, 4, 17, 43}
 
@@ -76,11 +76,11 @@ def test_three_units_are_found_at_their_two_rates(network: Network, scheme: str)
         assert unit.took < 0.2  # the first answer on a line is held for longer
     assert only_read([request[2] for request in bus.asked])
     assert scanned.requests == len(bus.asked)
-    with Client(units[0].url) as client:  # the URL is one of a client
+    with Client(units[0].url) as client:  # the URL can be used by a client
         assert client.read_holding_registers(0, 10) == [0] * 10
 
 
-def test_a_late_answer_is_its_own_units_and_not_the_next_ones(network: Network) -> None:
+def test_a_late_answer_is_that_of_its_own_unit_and_not_of_the_next(network: Network) -> None:
     members = {7: Member(of(meter(holding_registers=1)), 9600, 2, after=0.3)}
     bus = SimulatedBus(network, members)
     scanned = scan(bus.url, baudrates=[9600], parities=["N"], units=[7, 8, 9, 10], timeout=0.2)
@@ -93,7 +93,7 @@ def test_a_late_answer_is_its_own_units_and_not_the_next_ones(network: Network) 
     assert any("came late" in note for note in scanned.notes)
 
 
-def test_a_late_answer_is_its_own_units_on_tcp_too(network: Network) -> None:
+def test_a_late_answer_over_tcp_is_that_of_its_own_unit(network: Network) -> None:
     """Through a gateway that works off what it was asked, one after the other."""
     answers: list[bytes] = []
 
@@ -117,7 +117,7 @@ def test_a_late_answer_is_its_own_units_on_tcp_too(network: Network) -> None:
         ([lambda request: [request]], "echo=True?"),
     ],
 )
-def test_noise_and_an_echo_do_not_make_a_unit(network: Network, answers, note) -> None:
+def test_noise_and_an_echo_are_not_taken_for_a_unit(network: Network, answers, note) -> None:
     unit = served(network, "rtu:///dev/line", *answers)
     url = f"{unit.url}?baudrate=115200&parity=N"
     scanned = scan(url, units=range(1, 7), timeout=QUICK)
@@ -127,7 +127,7 @@ def test_noise_and_an_echo_do_not_make_a_unit(network: Network, answers, note) -
     assert note in message
 
 
-def test_a_line_that_never_falls_silent_is_asked_in_time(network: Network) -> None:
+def test_a_line_that_is_never_silent_is_scanned_in_time(network: Network) -> None:
     bus = SimulatedBus(network, {})
     bus.flood(b"\x55", 0.0012)
     scanned = scan(bus.url, baudrates=[9600], parities=["N"], timeout=0.1)
@@ -138,7 +138,7 @@ def test_a_line_that_never_falls_silent_is_asked_in_time(network: Network) -> No
     assert "or others send" in scanned.notes[0]
 
 
-def test_a_port_that_vanishes_ends_it_with_what_was_found() -> None:
+def test_a_port_that_disappears_ends_the_scan_with_the_units_found() -> None:
     with line({1: meter()}) as wire:
         scanned = scan(f"rtu://{wire.client}", baudrates=[9600], parities="N", timeout=PATIENT)
         assert next(scanned).unit == 1
@@ -150,7 +150,7 @@ def test_a_port_that_vanishes_ends_it_with_what_was_found() -> None:
     assert scanned.requests < 10
 
 
-def test_a_rate_that_the_port_cannot_do_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_baudrate_that_the_port_refuses_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pseudo-terminals take any rate: the answer of the kernel is made up."""
     from libmodbus_py.ports import serial
 
@@ -187,7 +187,7 @@ def test_units_are_found_over_networks(network: Network, scheme: str) -> None:
 )
 def test_a_server_that_ignores_the_unit_is_one_device(scheme: str, tables: Any) -> None:
     with FakeServer(lambda request: [mbap(request, b"\x03\x02\0\1", unit=255)]) as server:
-        (device,) = all_of(scan(server.url, timeout=PATIENT))  # 255 in all of its answers
+        (device,) = all_of(scan(server.url, timeout=PATIENT))  # unit 255 in all answers
         assert device.is_any
     with Server(meter(**tables)).background(f"{scheme}://127.0.0.1:0") as running:
         scanned = scan(running.urls[0], timeout=PATIENT)
@@ -197,7 +197,7 @@ def test_a_server_that_ignores_the_unit_is_one_device(scheme: str, tables: Any) 
     assert ["ignores the unit" in note for note in scanned.notes] == [True]
 
 
-def test_units_answered_like_impossible_ones_are_not_counted() -> None:
+def test_units_that_answer_like_missing_ones_are_not_counted() -> None:
     """A gateway that answers exception 4 for whoever is not there, as mbusd does for some."""
 
     def answer(request: bytes) -> list[bytes]:
@@ -209,7 +209,7 @@ def test_units_answered_like_impossible_ones_are_not_counted() -> None:
     assert any("247 units are answered like units that cannot exist" in n for n in scanned.notes)
 
 
-def test_a_server_that_hangs_up_on_unknown_units_is_asked_on(network: Network) -> None:
+def test_a_server_that_closes_connections_for_unknown_units_is_scanned_on(network: Network) -> None:
     """It ends each connection with the first question to anybody else."""
 
     def answer(request: bytes) -> list[Any]:
@@ -224,7 +224,7 @@ def test_a_server_that_hangs_up_on_unknown_units_is_asked_on(network: Network) -
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
-def test_silence_does_not_cost_the_connection(network: Network, scheme: str) -> None:
+def test_a_unit_without_an_answer_does_not_end_the_connection(network: Network, scheme: str):
     """Some devices take one at a time, and late answers come over the one that was asked."""
     server = served(network, f"{scheme}://10.0.0.1", lambda request: [])
     scanned = scan(server.url, units=range(1, 9), timeout=QUICK)
@@ -233,7 +233,7 @@ def test_silence_does_not_cost_the_connection(network: Network, scheme: str) -> 
 
 
 @pytest.mark.parametrize("begin", [scan, search])
-def test_an_unreachable_host_is_an_error_soon(begin: Callable[..., Any]) -> None:
+def test_an_unreachable_host_is_reported_soon(begin: Callable[..., Any]) -> None:
     with mute_port() as port, pytest.raises(ModbusConnectionError):
         next(begin(f"tcp://127.0.0.1:{port}", timeout=0.1))
     with refusing() as bound:
@@ -244,7 +244,7 @@ def test_an_unreachable_host_is_an_error_soon(begin: Callable[..., Any]) -> None
         next(begin("rtu:///dev/nowhere"))
 
 
-def test_libmodbus_is_one_device_over_tcp(compiled: Callable[[str], Path]) -> None:
+def test_a_server_of_libmodbus_over_tcp_is_found_as_one_device(compiled: Callable[[str], Path]):
     """Its server does not look at the unit."""
     with program(compiled("server"), "tcp", 0) as process:
         (device,) = all_of(scan(f"tcp://127.0.0.1:{_port(process)}", timeout=PATIENT))
@@ -255,7 +255,7 @@ def test_libmodbus_is_one_device_over_tcp(compiled: Callable[[str], Path]) -> No
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu"])
-def test_pymodbus_is_found(scheme: str) -> None:
+def test_a_server_of_pymodbus_is_found(scheme: str) -> None:
     options: Any = {} if scheme == "tcp" else {"parities": "E"}
     with pymodbus_serving(scheme) as url:
         units = all_of(scan(url, units=[UNIT - 1, UNIT], timeout=0.5, **options))
@@ -269,7 +269,7 @@ def _port(process: subprocess.Popen[str]) -> int:
     return int(port)
 
 
-def test_a_scan_can_be_left_at_any_time() -> None:
+def test_a_scan_can_be_stopped_at_any_time() -> None:
     with line({number: meter() for number in (1, 2, 3)}) as wire:
         url = f"rtu://{wire.client}"
         for unit in scan(url, baudrates=[9600], parities="N", timeout=PATIENT):
@@ -324,7 +324,7 @@ def test_units_are_found_over_tls(tmp_path: Path) -> None:
         assert server.statistics.accepted < 9
 
 
-def test_an_identification_without_an_end_is_cut_after_four_pages(network: Network) -> None:
+def test_an_endless_identification_ends_after_four_pages(network: Network) -> None:
     pages: list[int] = []
 
     def answer(request: bytes) -> list[bytes]:

@@ -135,7 +135,7 @@ def test_a_busy_device_is_asked_again(network: Network) -> None:
     assert ranges(searched)["holding_registers"] == [range(30)]
 
 
-def test_a_device_that_is_silent_where_nothing_is_is_searched_on(network: Network) -> None:
+def test_a_device_that_is_silent_at_missing_addresses_is_searched(network: Network) -> None:
     def answer(function: int, address: int, count: int) -> int | None:
         if function != 3:
             return 1
@@ -146,7 +146,7 @@ def test_a_device_that_is_silent_where_nothing_is_is_searched_on(network: Networ
     assert searched.extents[2].ended == BOUND
 
 
-def test_a_unit_that_answers_no_more_is_left_with_what_was_found(network: Network) -> None:
+def test_a_unit_that_stops_answering_ends_the_search_with_the_ranges_found(network: Network):
     counts: list[int] = []
 
     def answer(function: int, address: int, count: int) -> int | None:
@@ -162,7 +162,7 @@ def test_a_unit_that_answers_no_more_is_left_with_what_was_found(network: Networ
 
 
 @pytest.mark.parametrize("bound", [4, 5, 100, 1000])
-def test_a_search_sends_no_more_than_most_requests(network: Network, bound: int) -> None:
+def test_a_search_sends_no_more_than_the_given_number_of_requests(network: Network, bound: int):
     server = answering(network, lambda function, address, count: 0 if count == 1 else 3)
     with search(server.url, timeout=PATIENT, most_requests=bound) as searched:
         extents = list(searched)
@@ -184,7 +184,7 @@ def test_libmodbus_own_server_is_searched(compiled: Callable[[str], Path]) -> No
     }
 
 
-def test_a_search_that_is_left_has_the_ranges_found_so_far(network: Network) -> None:
+def test_a_search_that_is_closed_keeps_the_ranges_found(network: Network) -> None:
     url = answering(network, lambda *counts: 0).url
     searched = search(url, timeout=PATIENT)
     first = next(searched)
@@ -256,7 +256,7 @@ def found(reader: Reader, most: int = 125, bound: int = 1_000_000) -> tuple[Cell
     ids=str,
 )
 @pytest.mark.parametrize("most", [1, 2, 7, 100, 125, 2000])
-def test_ranges_are_found_exactly_whatever_the_length_that_a_device_reads(there, most) -> None:
+def test_ranges_are_exact_whatever_length_a_device_accepts(there, most) -> None:
     cells, reads = found(limited(most, *there), 2000 if most == 2000 else 125)
     assert cells.ranges == there
     assert cells.unseen < FINEST
@@ -264,7 +264,7 @@ def test_ranges_are_found_exactly_whatever_the_length_that_a_device_reads(there,
 
 
 @pytest.mark.parametrize(("limit", "least"), [(1, 1), (2, 1), (10, 5), (60, 30), (124, 62)])
-def test_the_length_that_a_device_reads_is_learnt(limit: int, least: int) -> None:
+def test_the_longest_read_that_a_device_accepts_is_found(limit: int, least: int) -> None:
     cells, reads = found(limited(limit, range(5000)), bound=10_000)
     assert least <= cells.most <= limit
     assert cells.ranges == [range(5000)]

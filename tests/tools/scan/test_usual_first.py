@@ -51,7 +51,7 @@ def test_usual_settings_and_units_are_asked_first(network: Network) -> None:
     ("baudrate", "stop_bits", "most"),
     [(9600, 1, 2), (9600, 2, 5), (19200, 2, 10), (38400, 1, 20), (115200, 2, 40), (1200, 1, 80)],
 )
-def test_a_device_as_it_left_the_factory_is_found_soon(network: Network, baudrate, stop_bits, most):
+def test_a_device_with_factory_settings_is_found_soon(network: Network, baudrate, stop_bits, most):
     bus = SimulatedBus(network, {1: Member(of(device()), baudrate, stop_bits)})
     started = network.events.now
     with scan(bus.url) as scanned:
@@ -61,7 +61,7 @@ def test_a_device_as_it_left_the_factory_is_found_soon(network: Network, baudrat
     assert {unit for units in scanned.tried.values() for unit in units} <= {*FIRST_UNITS}
 
 
-def test_the_settings_at_which_a_unit_answered_are_the_first_of_the_second_round(network: Network):
+def test_settings_with_an_answer_come_first_in_the_second_round(network: Network):
     members = {7: Member(of(device()), 19200, 1), 55: Member(of(device()), 19200, 1)}
     bus = SimulatedBus(network, members)
     steps: list[Progress] = []
@@ -93,7 +93,7 @@ def test_a_scan_knows_before_it_starts_how_long_each_part_takes(network: Network
     assert ends[0] < network.events.now - started < scanned.longest
 
 
-def test_units_in_the_arguments_are_asked_in_one_round_in_their_order(network: Network) -> None:
+def test_given_units_are_asked_in_one_round_in_their_order(network: Network) -> None:
     bus = SimulatedBus(network, {})
     scanned = scan(bus.url, baudrates=[19200, 9600], parities="E", units=[40, 1], timeout=0.05)
     list(scanned)
@@ -101,7 +101,7 @@ def test_units_in_the_arguments_are_asked_in_one_round_in_their_order(network: N
     assert scanned.longest_first == scanned.longest
 
 
-def test_one_device_that_ignores_the_unit_is_not_asked_again(network: Network) -> None:
+def test_a_device_that_answers_all_units_is_not_asked_again(network: Network) -> None:
     every = {unit: Member(of(device()), 9600, 2) for unit in range(256)}
     bus = SimulatedBus(network, every)
     with scan(bus.url, baudrates=[9600, 19200], parities="N", timeout=TIMEOUT) as scanned:

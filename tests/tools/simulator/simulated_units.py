@@ -11,7 +11,7 @@ from libmodbus_py.tools.simulator.device_file import parse
 
 
 class Clock:
-    """Goes when it is told."""
+    """A clock that moves only when it is told to."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -21,7 +21,7 @@ class Clock:
 
 
 def unit(text: str, clock: Callable[[], float] = time.monotonic) -> Device:
-    """The device of a file with one unit, whose keys are given."""
+    """Return the device of a file with one unit, from the text of its keys."""
     devices = parse(f"[[unit]]\n{text}", clock=clock).devices
     assert isinstance(devices, Device)
     return devices

@@ -40,7 +40,7 @@ def test_values_move_each_half_second(behaviour: str, values: list[int]) -> None
     assert cells == values
 
 
-def test_only_values_that_are_read_are_computed_and_all_of_these() -> None:
+def test_only_and_all_requested_values_are_computed() -> None:
     clock = Clock()
     device = unit(
         """
@@ -61,7 +61,7 @@ def test_only_values_that_are_read_are_computed_and_all_of_these() -> None:
     assert inputs(device, 10, 11) == [0, 5, 0, 5, 0, 5, 0, 5, 5, 5, 3]
 
 
-def test_a_coil_blinks_and_a_bit_is_a_number() -> None:
+def test_a_coil_blinks_and_a_bit_is_a_number_that_moves() -> None:
     clock = Clock()
     device = unit(
         """
@@ -88,7 +88,7 @@ LIMITS = {name: kind.limits for name, kind in values.TYPES.items() if kind.limit
 
 
 @given(kind=st.sampled_from(sorted(LIMITS)), start=numbers, step=numbers, moment=st.floats(0, 1e9))
-def test_counters_stay_in_their_type(kind: str, start: float, step: float, moment: float) -> None:
+def test_counters_wrap_in_their_range(kind: str, start: float, step: float, moment: float) -> None:
     clock = Clock()
     low, high = LIMITS[kind]
     assume(low <= start <= high and step != 0)
@@ -107,7 +107,7 @@ def test_counters_stay_in_their_type(kind: str, start: float, step: float, momen
     assert low <= value <= high
 
 
-def test_copies_go_on_from_run_to_run() -> None:
+def test_consecutive_copies_continue_the_step_of_the_first() -> None:
     """In the rhythm of the first; a longer value behind it is not hit in its middle."""
     device = unit("""
         holding_registers = [{ address = 0, count = 6, copy = { table = "input_registers", address = 10 } }]
@@ -153,13 +153,13 @@ COPIES = """
         ("bits16", [1] + [0] * 15, "bits16", 1, [True] + [False] * 15),
     ],
 )
-def test_copies_scale(source: str, value: object, target: str, scale: float, copy: object) -> None:
+def test_copies_are_scaled(source: str, value: object, target: str, scale: float, copy: object):
     device = unit(COPIES.format(source=source, value=value, target=target, scale=scale))
     count = 2 * values.value_type(target).registers
     assert values.value_type(target).decode_many(inputs(device, 7, count)) == [copy, copy]
 
 
-def test_a_copy_follows_what_clients_write() -> None:
+def test_a_copy_changes_when_clients_write_its_source() -> None:
     device = unit(COPIES.format(source="uint16", value=0, target="uint16", scale=2))
     answer(device, pdu.WriteRegisters(0, (5, 6)))
     assert inputs(device, 7, 2) == [10, 12]
@@ -176,7 +176,7 @@ def test_copies_of_scaled_values_are_scaled() -> None:
     assert inputs(device, 3) == [11500]
 
 
-def test_a_copy_of_what_is_no_value_is_exception_4() -> None:
+def test_a_copy_of_an_invalid_value_is_exception_4() -> None:
     device = unit(COPIES.format(source="bcd16", value=1, target="uint16", scale=1))
     answer(device, pdu.WriteRegister(0, 0xABCD))
     with pytest.raises(ServerDeviceFailure):
@@ -184,7 +184,7 @@ def test_a_copy_of_what_is_no_value_is_exception_4() -> None:
     assert inputs(device, 8) == [1]
 
 
-def test_a_random_walk_with_a_seed_is_the_same_whenever_it_is_read() -> None:
+def test_a_random_walk_with_a_seed_does_not_depend_on_the_times_of_reads() -> None:
     text = """
         [[unit.input_registers]]
         address = 0

@@ -56,7 +56,7 @@ def test_an_invalid_bit_is_named(text: str, message: str) -> None:
         value_of(text)
 
 
-def test_bits_of_points_of_a_map(tmp_path: Path) -> None:
+def test_points_of_a_map_have_named_bits(tmp_path: Path) -> None:
     (tmp_path / "map.csv").write_text(
         "name,table,address,type,count\nlamps,coil,8,,8\nword,holding,0,bits16,\npump,coil,30,,\n"
     )

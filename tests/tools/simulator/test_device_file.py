@@ -13,7 +13,7 @@ from tests.support.cases import each_case
 from tests.tools.simulator.simulated_units import answer, holding, inputs, unit
 
 
-def test_values_lie_where_the_file_says() -> None:
+def test_values_are_at_the_addresses_of_the_file() -> None:
     device = unit("""
         holding_registers = [{ address = 65535, value = 7 }, { address = 0, values = [1, 2] }]
         input_registers = [{ address = 10, count = 3, value = 9 }]
@@ -66,7 +66,7 @@ def test_a_table_without_ranges_does_not_exist() -> None:
     assert answer(device, pdu.ReadExceptionStatus()) == 3
 
 
-def test_units_are_distinguished_and_faults_are_collected() -> None:
+def test_each_unit_has_its_own_device_and_faults() -> None:
     simulation = parse("""
         fault = [{ kind = "no_answer", every = 9 }]
         [[unit]]

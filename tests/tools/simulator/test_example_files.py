@@ -38,7 +38,7 @@ def plant() -> Iterator[str]:
         yield running.urls[0]
 
 
-def test_the_example_keeps_what_its_comments_promise(plant: str) -> None:
+def test_the_example_behaves_as_its_comments_say(plant: str) -> None:
     with Client(plant, unit=1, timeout=5) as boiler:
         assert boiler.read_exception_status() == 0x55
         assert boiler.report_server_id() == pdu.ServerId(b"\x2a", True, b"boiler 1")
@@ -64,7 +64,7 @@ def test_the_example_keeps_what_its_comments_promise(plant: str) -> None:
         assert boiler.read_fifo_queue(1246) == [440, 4740]
 
 
-def test_the_example_refuses_what_its_comments_say(plant: str) -> None:
+def test_the_example_refuses_requests_as_its_comments_say(plant: str) -> None:
     with Client(plant, unit=1, timeout=5) as boiler:
         refused: list[Callable[[], object]] = [
             lambda: boiler.read_coils(4, 1),
@@ -161,7 +161,7 @@ tables = st.recursive(
 
 
 @given(key=st.sampled_from(["id", "coils", "holding_registers", "file", "fault"]), content=tables)
-def test_any_text_of_a_file_raises_no_other_error_than_its_own(key: str, content: object) -> None:
+def test_any_text_raises_only_a_file_error(key: str, content: object) -> None:
     text = f"[[unit]]\n{key} = {_toml(content)}"
     message = ""
     try:

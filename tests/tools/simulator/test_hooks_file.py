@@ -1,4 +1,4 @@
-"""Hooks in a file of Python: what devices call, and what is said of a file with a mistake."""
+"""Hooks in a file of Python: which are called, and the errors of a file with a mistake."""
 
 import os
 from pathlib import Path
@@ -91,7 +91,7 @@ def test_a_value_moves_before_the_hook_of_a_read_sees_it(path: Path) -> None:
     assert device.mapping.coils[0]
 
 
-def test_a_broken_file_keeps_the_former_hooks(path: Path) -> None:
+def test_an_invalid_file_keeps_the_former_hooks(path: Path) -> None:
     device = tables()
     file = HooksFile(str(path))
     file.use(device)
@@ -105,7 +105,7 @@ def test_a_broken_file_keeps_the_former_hooks(path: Path) -> None:
     assert write(device, 101) == 6
 
 
-def test_the_first_failure_after_a_change_is_logged_again(path: Path, caplog) -> None:
+def test_a_failure_is_logged_again_after_a_change(path: Path, caplog) -> None:
     path.write_text("def after_write(access):\n    1 / 0\n")
     device = tables()
     file = HooksFile(str(path))

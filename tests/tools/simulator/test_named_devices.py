@@ -47,7 +47,7 @@ def make_device(tmp_path: Path) -> Write:
     return make
 
 
-def test_a_device_knows_its_names_and_points() -> None:
+def test_a_device_has_its_names_and_points() -> None:
     devices = parse("""
         [[unit]]
         id = 1
@@ -78,7 +78,7 @@ def test_a_device_knows_its_names_and_points() -> None:
     )
 
 
-def test_defaults_hold_where_nothing_else_is_said() -> None:
+def test_defaults_apply_where_the_file_has_no_value() -> None:
     devices = parse("""
         [defaults]
         type = "uint32"
@@ -118,7 +118,7 @@ holding_registers = [
 """  # noqa: E501
 
 
-def test_ranges_hold_what_their_values_mean() -> None:
+def test_ranges_contain_encoded_values() -> None:
     device = the(parse(RANGES))
     assert list(device.mapping.holding_registers[0:8]) == [
         5 << 4 | 1 << 3, 1, 125, 1, 24 << 8 | 7, 15 << 8 | 12, 0, 0x31,
@@ -198,7 +198,7 @@ moves = { power = { counter = { start = 5 } } }
 """  # noqa: E501
 
 
-def test_bounds_of_maps_and_ranges_also_of_points_that_share_cells(make_device: Write) -> None:
+def test_bounds_apply_to_all_points_that_share_cells(make_device: Write) -> None:
     device = make_device(MOVING, BOUNDS)
     for request, code in (
         (pdu.WriteRegister(0, 49), 3),
@@ -225,7 +225,7 @@ def test_a_moving_value_cannot_be_written_by_another_name(make_device: Write) ->
         device["total_low"] = 1
 
 
-def test_values_that_have_names_move(make_device: Write) -> None:
+def test_named_values_move_by_themselves(make_device: Write) -> None:
     clock = Clock()
     device = make_device(MOVING, BOUNDS, clock=clock)
     clock.now += 7
@@ -251,7 +251,7 @@ level,holding,5,,,,,,0
 """
 
 
-def test_a_page_shows_and_sets_what_points_mean(make_device: Write) -> None:
+def test_a_page_shows_and_sets_decoded_values(make_device: Write) -> None:
     values = "v = 230.5, v_sf = -1, state = 'on', flag = true, mode = 5, flags = { alarm = true }"
     device = make_device(f"values = {{ {values} }}", MEANINGS)
     assert device.mapping.holding_registers[0:6] == [2305, 0xFFFF, 1, 0x58, 2, 0]
@@ -294,7 +294,7 @@ FORMS: dict[str, tuple[str, Callable[[Path], Any]]] = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_a_map_of_the_package_has_its_name_and_others_their_ending(form, tmp_path) -> None:
+def test_maps_of_the_package_have_names_and_other_maps_endings(form, tmp_path) -> None:
     (tmp_path / "sdm120.csv").write_text("name,table,address\nown,holding_registers,7\n")
 
     def names(map: str) -> set[str]:

@@ -68,7 +68,7 @@ def test_a_unit_whose_entry_did_not_change_keeps_its_device(text: str) -> None:
     assert after(PLAIN, lambda device, _: devices.append(device), text) is devices[0]
 
 
-def test_values_that_clients_wrote_stay_in_ranges_that_stay() -> None:
+def test_values_written_by_clients_are_kept_in_unchanged_ranges() -> None:
     text = PLAIN.replace("id = 1", "id = 1\nname = 'other'")
     device = after(PLAIN, write_all, text)
     assert device.name == "other"
@@ -94,7 +94,7 @@ def test_changed_parts_of_the_file_take_effect(old: str, new: str, cells: list[i
     assert [*registers[0:2], *registers[10:12]] == cells
 
 
-def test_moving_values_go_on_after_a_reload() -> None:
+def test_moving_values_continue_after_a_reload() -> None:
     text = PLAIN.replace("id = 1", "id = 1\nname = 'other'")
     moving = pdu.ReadInputRegisters(0, 2)
     cells: list[list[int]] = []
@@ -196,7 +196,7 @@ def test_a_reload_logs_what_has_changed(path: Path) -> None:
             assert messages[0].startswith(f"{path}: read again, {changes}")
 
 
-def test_changes_are_seen_also_of_maps_and_of_maps_that_come(path: Path, monkeypatch) -> None:
+def test_changes_of_maps_and_new_maps_are_noticed(path: Path, monkeypatch) -> None:
     looks = 0
 
     def signatures(reloader: Reloader) -> object:
@@ -222,7 +222,7 @@ def test_changes_are_seen_also_of_maps_and_of_maps_that_come(path: Path, monkeyp
         assert len(messages) == 3
 
 
-def test_clients_lose_nothing_that_they_write_while_it_is_read_again(path: Path) -> None:
+def test_values_written_during_a_reload_are_kept(path: Path) -> None:
     stopped = threading.Event()
 
     def storm(ask: Callable[[], object]) -> None:
@@ -247,7 +247,7 @@ def test_clients_lose_nothing_that_they_write_while_it_is_read_again(path: Path)
             thread.join()
 
 
-def test_the_end_of_a_server_in_the_middle_of_a_reading_leaves_no_task(path: Path, monkeypatch):
+def test_a_server_that_ends_during_a_reload_leaves_no_task(path: Path, monkeypatch):
     start, stop = threading.Event(), threading.Event()
 
     def read(name: str) -> Simulation:
@@ -265,7 +265,7 @@ def test_the_end_of_a_server_in_the_middle_of_a_reading_leaves_no_task(path: Pat
     assert messages == []
 
 
-def test_devices_that_were_replaced_are_not_kept(path: Path) -> None:
+def test_replaced_devices_are_freed(path: Path) -> None:
     with reloading(path) as (ask, client, messages):
         for number in range(25):
             path.write_text(PLAIN.replace("id = 1", f"id = 1\nname = 'number {number}'"))

@@ -171,7 +171,7 @@ LAST = 65536 - 40004
         (chain(COMMON, [101, 65535]), 1, 4, "model 101 at address 40070 is left out: its length,"),
     ],
 )
-def test_a_chain_that_does_not_end_well_is_followed_as_far_as_it_goes(
+def test_a_chain_without_an_end_model_is_read_as_far_as_it_is_valid(
     cells: list[int], models: int, requests: int, note: str
 ) -> None:
     walk_result = walk_through(walk(BASES), cells)
@@ -181,7 +181,7 @@ def test_a_chain_that_does_not_end_well_is_followed_as_far_as_it_goes(
 
 
 @pytest.mark.parametrize("base", BASES)
-def test_the_marker_is_sought_at_each_base(base: int) -> None:
+def test_the_marker_is_searched_for_at_each_base(base: int) -> None:
     walk_result = walk_through(walk(BASES), chain(COMMON), base)
     assert (walk_result.result.base, walk_result.result.notes) == (base, [])
     with pytest.raises(SunSpecError, match=r"address 0: .* address 40000: .* address 50000: "):
@@ -203,7 +203,7 @@ def test_every_definition_becomes_a_map() -> None:
         assert group["name"] == get_model_def(number)["group"]["name"]
 
 
-def test_model_160_has_as_many_modules_as_its_length_has() -> None:
+def test_model_160_has_as_many_modules_as_its_length_says() -> None:
     fixed = [0xFFFF, 0, 0xFFFF, 3, 0, 0, 2, 0xFFFF]
     module = [1, *([0] * 8), 500, 4000, 0x8000, 0, 77, 0, 0, 25, 4, 0, 2]
     cells = chain([160, 48, *fixed, *module, 2, *module[1:]])
@@ -232,7 +232,7 @@ def test_a_length_that_fits_no_whole_group_is_noted(length: int, note: str) -> N
 
 
 @pytest.mark.parametrize("count", [65535, 60000])
-def test_a_count_that_does_not_fit_makes_no_storm(count: int) -> None:
+def test_a_count_that_does_not_match_the_length_causes_few_requests(count: int) -> None:
     # 705: NPt and NCrv are the registers 5 and 6 of the model.
     model = [705, 20, 0, 0, 0, count, count, *([0] * 15)]
     device = walk_through(_discovery([40000]), chain(model))
@@ -248,7 +248,7 @@ def test_the_number_of_points_is_limited() -> None:
     assert laid.notes[-1] == "there are too many points: module.4.IDStr is left out"
 
 
-def test_values_are_scaled_named_and_missing() -> None:
+def test_values_are_scaled_and_named_and_may_be_missing() -> None:
     cells = chain([101, 50, 123, 0xFFFF, 0xFFFF, 0xFFFF, 0xFFFE, *([0x8000] * 45)])
     points = walk_through(_discovery([40000]), cells).result[101].map
     assert points["A"].scale_from == "A_SF"

@@ -59,7 +59,7 @@ def ends() -> Iterator[tuple[int, int]]:
 
 
 @pytest.mark.timeout(20)
-def test_bytes_that_were_read_are_not_waited_for(ends: tuple[int, int]) -> None:
+def test_reading_returns_the_available_bytes_at_once(ends: tuple[int, int]) -> None:
     far, near = ends
     assert read_what_is_there(far) == b""
     os.write(near, b"abc")
@@ -69,7 +69,7 @@ def test_bytes_that_were_read_are_not_waited_for(ends: tuple[int, int]) -> None:
 
 
 @pytest.mark.timeout(20)
-def test_more_than_a_pipe_holds_is_written_once_it_is_read(ends: tuple[int, int]) -> None:
+def test_more_bytes_than_a_pipe_holds_are_written_when_it_is_read(ends: tuple[int, int]) -> None:
     far, near = ends
     data = bytes(range(256)) * 1000
     thread = threading.Thread(target=write_all, args=(far, data))

@@ -110,7 +110,7 @@ class TestReports:
         result.assert_outcomes(passed=1, failed=1, skipped=1, xfailed=1)
         result.stdout.no_fnmatch_line("*modbus transactions*")
 
-    def test_the_last_fifty_and_the_beginning_of_long_ones(self, suite: Suite, write: Write):
+    def test_the_last_fifty_transactions_are_shown_in_short(self, suite: Suite, write: Write):
         write("""
     def test_many(modbus_server):
         with Client(modbus_server.url) as plc:
@@ -162,7 +162,7 @@ class TestLeftBehind:
         """)
         suite.runpytest("-q").assert_outcomes(passed=61)
 
-    def test_nothing_in_children_that_live_on(self, suite: Suite, write: Write) -> None:
+    def test_child_processes_show_no_traffic(self, suite: Suite, write: Write) -> None:
         write("""
     LEFT = []
 
@@ -189,7 +189,7 @@ class TestLeftBehind:
         # Python 3.12 warns of any fork beside threads.
         suite.runpytest_subprocess("-W", "ignore::DeprecationWarning").assert_outcomes(passed=2)
 
-    def test_nothing_when_the_run_is_interrupted(self, suite: Suite, write: Write) -> None:
+    def test_an_interrupted_run_shows_no_traffic(self, suite: Suite, write: Write) -> None:
         write("""
     def test_it(modbus_server, modbus_serial_line):
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -208,7 +208,7 @@ class TestLeftBehind:
         assert result.ret == pytest.ExitCode.INTERRUPTED
         result.stdout.fnmatch_lines_random(["*KeyboardInterrupt*", "left: [[][]]"])
 
-    def test_a_test_that_hangs_is_ended_and_shows_what_passed(self, suite: Suite, write: Write):
+    def test_a_hanging_test_is_ended_and_shows_its_traffic(self, suite: Suite, write: Write):
         write("""
     @pytest.mark.timeout(60)
     def test_hanging(modbus_server, modbus_faults):
@@ -231,13 +231,13 @@ class TestLeftBehind:
 
 
 class TestOthers:
-    def test_it_can_be_switched_off(self, suite: Suite, write: Write) -> None:
+    def test_the_plugin_can_be_switched_off(self, suite: Suite, write: Write) -> None:
         write("\n    def test_it(modbus_server): pass\n")
         result = suite.runpytest("-p", "no:libmodbus_py")
         result.assert_outcomes(errors=1)
         result.stdout.fnmatch_lines(["*fixture 'modbus_server' not found*"])
 
-    def test_one_hook_and_no_name_of_others(self) -> None:
+    def test_the_plugin_defines_one_hook_and_no_name_of_other_plugins(self) -> None:
         names = [name for name in vars(plugin) if name.startswith("pytest_")]
         assert names == ["pytest_runtest_makereport"]
         # Of the plugin of the package modbus-connection.
@@ -258,7 +258,7 @@ class TestImports:
         assert not {"asyncio", "ssl", "_cffi_backend"} & set(loaded)
 
 
-def test_the_plugin_refuses_an_older_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_plugin_refuses_an_older_pytest(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(pytest, "StashKey")  # which pytest 7 brought
     monkeypatch.setattr(pytest, "__version__", "6.2.5")
     with pytest.raises(pytest.UsageError, match=r"need pytest 7 or newer, not 6\.2\.5"):

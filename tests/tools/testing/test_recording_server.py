@@ -24,7 +24,7 @@ BUSY = Fault("exception", code=6)
 
 @pytest.fixture
 def quiet(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
-    """Nobody may warn, to the end."""
+    """No warning may be logged until the end."""
     with caplog.at_level(logging.WARNING):
         yield
     assert caplog.get_records("call") + caplog.get_records("teardown") == []
@@ -51,7 +51,7 @@ class TestServer:
         assert modbus_server.device.mapping is modbus_server.mapping
         assert modbus_server.url == f"tcp://127.0.0.1:{modbus_server.port}"
 
-    def test_the_oldest_are_forgotten(self, make_modbus_server: ServerMaker, monkeypatch) -> None:
+    def test_old_transactions_are_dropped(self, make_modbus_server: ServerMaker, monkeypatch):
         monkeypatch.setattr("libmodbus_py.tools.testing.recording.MOST", 4)
         server = make_modbus_server()
         with Client(server.url) as client:
@@ -110,7 +110,7 @@ class TestMaker:
 
 class TestSerialLine:
     @pytest.mark.parametrize("framing", ["rtu", "ascii"])
-    def test_a_server_sits_on_one_end_and_goes_before_it(
+    def test_a_serial_server_uses_one_end_of_a_line_and_stops_before_it(
         self, quiet: None, make_modbus_server: ServerMaker, modbus_serial_line: SerialWire, framing
     ) -> None:
         server = make_modbus_server(f"{framing}://{modbus_serial_line.server}")

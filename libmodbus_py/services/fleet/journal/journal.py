@@ -211,7 +211,7 @@ class Journal:
         return numbers
 
     def note_places(self) -> asyncio.Future[None]:
-        """Begin to write the places; return a future that ends when they are, or cannot be."""
+        """Begin to write the places; return a future that is done after the attempt."""
         if self._noting is None:
             self._noting = asyncio.get_running_loop().create_future()
         self._wake.set()

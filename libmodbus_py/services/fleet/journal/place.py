@@ -51,7 +51,7 @@ class JournalPlace(Buffer):
         return self._waiting
 
     def wake(self, count: int = 0) -> None:
-        """Look for readings: the journal has so many more, or can read others now."""
+        """Look for new readings: the journal has so many more, or can read others now."""
         self._waiting += count
         self._filled.set()
 
@@ -141,7 +141,7 @@ class RecentPolls:
 
     @property
     def before(self) -> int:
-        """The last id that is not in memory, nor behind it."""
+        """The id before the first one in memory."""
         return next(iter(self._polls), self.last + 1) - 1
 
     def add(self, poll: JournalPoll) -> None:
@@ -159,7 +159,7 @@ class RecentPolls:
                 self.dropped += len(oldest.readings)
 
     def after(self, number: int, most: int) -> list[JournalPoll] | None:
-        """Return about so many readings behind an id; None if the next one is not in memory."""
+        """Return about so many readings after an id; None if the next one is not in memory."""
         polls: list[JournalPoll] = []
         count = 0
         if number < self.before:

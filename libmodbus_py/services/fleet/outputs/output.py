@@ -68,7 +68,7 @@ class Output:
         """
 
     def attach_commands(self, commands: Commands) -> None:
-        """Set what carries out commands, before `open_output`, if it `takes_commands`."""
+        """Set the object that carries out commands, before `open_output`; see `takes_commands`."""
 
     async def open_output(self) -> None:
         """Connect; called again after each failure, once `close_output` was called."""
@@ -99,7 +99,7 @@ def check_exclusive(
     outputs: Sequence[Output], of_journal: Container[str] = (), sources: Container[str] = ()
 ) -> None:
     """
-    Raise ValueError if outputs, a journal and the files the fleet is read from use a thing twice.
+    Raise ValueError if outputs, a journal and source files share something, such as a file.
     """
     if (pair := shared_thing(outputs)) is not None:
         raise ValueError(f"two outputs use {pair[2]}")
@@ -111,7 +111,7 @@ def check_exclusive(
 
 
 def used_thing(output: Output, others: Container[str]) -> str | None:
-    """Return the first thing of an output that is among those of others, or None."""
+    """Return the first thing, such as a file, that an output shares with others, or None."""
     return next((thing for thing in output.exclusive if thing in others), None)
 
 

@@ -39,7 +39,7 @@ def opened(path: str, size: int = 10**9) -> JournalFile:
     return file
 
 
-def test_a_program_may_be_killed_at_each_step_of_a_transaction(path: str, tmp_path: Path) -> None:
+def test_a_program_killed_at_any_step_of_a_transaction_loses_no_reading(path: str, tmp_path: Path):
     """What is on the disk at each step is a journal with whole polls, and a place among them."""
     copies: list[Path] = []
 
@@ -72,7 +72,7 @@ def test_a_program_may_be_killed_at_each_step_of_a_transaction(path: str, tmp_pa
     assert states == {(0, 0), (20, 0), (40, 20), (60, 40)}
 
 
-def test_a_defect_while_a_journal_closes_lets_others_use_the_file(
+def test_an_error_while_a_journal_closes_leaves_the_file_usable(
     path: str, inline: None, disk: Failing, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def fail(fleet: Fleet) -> None:
@@ -87,7 +87,7 @@ def test_a_defect_while_a_journal_closes_lets_others_use_the_file(
 
 
 @in_simulated_time
-async def test_a_clock_that_jumps_back_loses_and_repeats_nothing(
+async def test_a_clock_set_back_loses_and_repeats_no_reading(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     broker, away = FakeOutput(), FakeOutput("away", is_away=True)
@@ -108,7 +108,7 @@ async def test_a_clock_that_jumps_back_loses_and_repeats_nothing(
 
 
 @in_simulated_time
-async def test_a_reload_in_the_midst_of_transactions_loses_and_repeats_nothing(
+async def test_a_reload_during_transactions_loses_and_repeats_no_reading(
     path: str, inline: None
 ) -> None:
     """Also with `on_change`, and after failed transactions: no list of points grows."""
@@ -138,7 +138,7 @@ async def test_a_reload_in_the_midst_of_transactions_loses_and_repeats_nothing(
     ],
     ids=["clears", "reverses", "extends"],
 )
-def test_an_output_that_changes_the_list_it_is_given_loses_nothing(path: str, inline: None, change):
+def test_an_output_that_changes_its_list_of_readings_loses_none(path: str, inline: None, change):
     class Changing(FakeOutput):
         async def write_readings(self, readings: Any) -> None:
             await super().write_readings(list(readings))
@@ -160,7 +160,7 @@ def confirmed(polls: KilledPolls) -> int:
     return 0
 
 
-async def test_a_poll_that_is_killed_loses_nothing_that_was_journalled(tmp_path: Path) -> None:
+async def test_a_killed_poll_process_loses_no_reading_in_the_journal(tmp_path: Path) -> None:
     async with devices(5) as urls:
         polls = KilledPolls(tmp_path, urls, interval=0.05)
         for _ in range(KILLS):
@@ -207,7 +207,7 @@ def test_a_journal_that_was_deleted_is_replaced(path: str, endings, caplog) -> N
     rows = in_journal(path)
     assert rows == broker.ids[-len(rows) :]
     assert 15 <= len(rows) < len(broker.ids)
-    # What was behind the last entry in memory is delivered, too.
+    # Readings after the last entry in memory are delivered, too.
     assert away.ids == broker.ids
     assert journal_of(fleet).dropped == 0
     message = f"{path}: was deleted or replaced while it was in use; a new journal begins"
@@ -215,7 +215,7 @@ def test_a_journal_that_was_deleted_is_replaced(path: str, endings, caplog) -> N
 
 
 @pytest.mark.usefixtures("inline")
-def test_a_journal_whose_changes_were_deleted_is_kept(path: str, caplog) -> None:
+def test_a_journal_that_lost_its_file_of_changes_is_kept(path: str, caplog) -> None:
     """The changes are in the file -wal, which is merged once it is closed."""
     broker = FakeOutput()
 
@@ -229,7 +229,7 @@ def test_a_journal_whose_changes_were_deleted_is_kept(path: str, caplog) -> None
 
 
 @pytest.mark.usefixtures("inline")
-def test_another_file_in_its_place_is_kept(path: str, tmp_path: Path) -> None:
+def test_another_file_at_the_path_of_the_journal_is_kept(path: str, tmp_path: Path) -> None:
     """Somebody has copied an older journal there, and has forgotten that the fleet runs."""
     run_for(path, 100, FakeOutput())
     older = in_journal(path)
@@ -247,8 +247,8 @@ def test_another_file_in_its_place_is_kept(path: str, tmp_path: Path) -> None:
     assert rows == broker.ids[-len(rows) :] != []
 
 
-def test_the_journal_of_another_program_in_its_place_is_left_alone(path: str) -> None:
-    """All its files were deleted, and a second fleet was started."""
+def test_the_journal_of_another_program_at_the_path_is_left_alone(path: str) -> None:
+    """All files of the journal were deleted, and a second fleet was started."""
     first, second = JournalFile(path, 1e9, 10**9), JournalFile(path, 1e9, 10**9)
     with contextlib.closing(first), contextlib.closing(second):
         first.open([])

@@ -47,7 +47,7 @@ BROKEN = OSError(errno.EIO, "Input/output error")
         (os, "fsync", BROKEN, "fleet.db: Input/output error"),
     ],
 )
-def test_a_disk_that_fails_for_long_is_logged_delays_no_output_and_loses_no_reading(
+def test_a_failing_disk_is_logged_and_delays_no_output_and_loses_no_reading(
     path: str, monkeypatch, caplog, kind, name, error, reason
 ) -> None:
     failing = Failing(monkeypatch, kind, name)
@@ -93,7 +93,7 @@ def test_memory_is_bounded_while_a_disk_is_full(
         assert fleet.statistics.outputs["away"].dropped == dropped  # they were on no disk
 
     run_for(path, 100, broker, away, change=fill)
-    assert len(broker.ids) == len({*broker.ids})  # this one had them from memory
+    assert len(broker.ids) == len({*broker.ids})  # this output had the readings from memory
     assert away.ids == in_journal(path)
     assert caplog.text.count("the oldest are dropped") == 1
 
@@ -101,7 +101,7 @@ def test_memory_is_bounded_while_a_disk_is_full(
 async def come_back(fleet: Fleet, away: FakeOutput) -> None:
     """Let the output take readings again, until none waits."""
     away.is_away = False
-    await asyncio.sleep(30)  # the longest pause between its tries
+    await asyncio.sleep(30)  # the longest pause between the output's attempts
     await until(lambda: fleet.statistics.outputs["away"].waiting == 0)
 
 
@@ -130,13 +130,13 @@ def test_a_journal_that_is_damaged_while_it_is_used_is_replaced(
     assert caplog.text.count(f"is kept as {path}-damaged") == 1
 
 
-def test_damage_that_a_reader_meets_is_healed_too(path: str, reader: Failing) -> None:
+def test_damage_that_a_reader_finds_is_repaired_too(path: str, reader: Failing) -> None:
     away = FakeOutput("away", is_away=True)
 
     async def damage(fleet: Fleet) -> None:
         reader.error = DAMAGED
         away.is_away = False
-        await asyncio.sleep(30)  # the longest pause between its tries
+        await asyncio.sleep(30)  # the longest pause between the output's attempts
         await until(lambda: Path(f"{path}-damaged").exists())
         reader.error = None
         await asyncio.sleep(100)
@@ -176,7 +176,7 @@ def test_a_disk_that_reports_errors_to_a_reader_is_asked_again(path: str, reader
 
 
 @in_simulated_time
-async def test_an_output_gets_what_memory_has_dropped_when_it_is_in_the_file(
+async def test_an_output_gets_dropped_readings_once_they_are_in_the_file(
     path: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Although no readings follow that would wake it."""
@@ -192,7 +192,7 @@ async def test_an_output_gets_what_memory_has_dropped_when_it_is_in_the_file(
 
 
 @in_simulated_time
-async def test_each_poll_is_forced_onto_the_disk_although_none_follows(path: str, monkeypatch):
+async def test_each_poll_is_forced_to_the_disk_although_none_follows(path: str, monkeypatch):
     calls: list[tuple[str, float]] = []
     call = Inline.call
 
@@ -219,7 +219,7 @@ async def test_each_poll_is_forced_onto_the_disk_although_none_follows(path: str
 
 
 @in_simulated_time
-async def test_written_polls_are_forced_although_later_writes_fail(
+async def test_written_polls_are_forced_to_the_disk_although_later_writes_fail(
     path: str, disk: Failing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     force = Failing(monkeypatch, JournalFile, "force")
@@ -236,7 +236,7 @@ async def test_written_polls_are_forced_although_later_writes_fail(
 
 
 @in_simulated_time
-async def test_a_journal_without_readings_leaves_the_disk_alone(
+async def test_a_journal_without_readings_does_not_access_the_disk(
     path: str, disk: Failing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     force = Failing(monkeypatch, JournalFile, "force")

@@ -24,7 +24,7 @@ from tests.support.outputs import FakeOutput
 HOUR = 3600.0
 
 
-def test_a_broker_that_is_away_for_an_hour_misses_nothing(path: str, inline: None) -> None:
+def test_a_broker_that_was_unreachable_for_an_hour_gets_all_readings(path: str, inline: None):
     broker, other = FakeOutput("north", is_away=True), FakeOutput("south")
 
     async def come_back(fleet: Fleet) -> None:
@@ -110,7 +110,7 @@ async def test_an_output_that_is_slower_than_the_readings_is_bounded_by_the_jour
     ]
 
 
-def test_the_identity_of_a_file_does_not_depend_on_the_folder(
+def test_the_identity_of_a_file_is_independent_of_its_folder(
     path: str, inline: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -131,7 +131,7 @@ async def test_a_journal_that_cannot_be_used_ends_the_fleet_before_it_polls(
         assert peer.connections == []
 
 
-async def test_a_journal_may_be_behind_a_link_and_is_the_same_one(path: str, tmp_path) -> None:
+async def test_a_journal_behind_a_link_is_the_same_journal(path: str, tmp_path) -> None:
     link = tmp_path / "link.db"
     link.symlink_to(path)
     journal = Journal(link)
@@ -189,7 +189,7 @@ async def test_a_cancelled_opening_leaves_the_file_to_others(path: str, monkeypa
     await other.close()
 
 
-async def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_blocked_disk_delays_no_poll(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     hangs, goes_on = threading.Event(), threading.Event()
     write = JournalFile.write_polls
 

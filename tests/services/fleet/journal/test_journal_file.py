@@ -56,13 +56,13 @@ def test_polls_are_read_as_they_were_written(file: JournalFile) -> None:
         file.open([])
 
 
-def test_a_poll_that_is_written_again_is_there_once(file: JournalFile) -> None:
+def test_a_poll_that_is_written_again_exists_once(file: JournalFile) -> None:
     file.write_polls(polls(1, 2), {}, 0)
     file.write_polls(polls(1, 3), {}, 0)
     assert query(file.path, "SELECT id FROM poll") == [(1,), (3,), (5,)]
 
 
-def test_a_person_sees_names_units_and_labels(file: JournalFile) -> None:
+def test_the_tables_of_the_file_have_names_and_units_and_labels(file: JournalFile) -> None:
     hostile = "'; DROP TABLE poll; --"
     rows = [
         Reading(0.5, hostile, 'a"b', 230.5, "V", "good", labels={"site": "north"}),
@@ -86,7 +86,7 @@ def test_a_person_sees_names_units_and_labels(file: JournalFile) -> None:
     ]
 
 
-def test_a_question_about_one_device_uses_the_index(file: JournalFile) -> None:
+def test_a_query_for_one_device_uses_the_index(file: JournalFile) -> None:
     plan = query(
         file.path, "EXPLAIN QUERY PLAN SELECT * FROM reading WHERE device = 'a' AND seconds > 5"
     )
@@ -100,7 +100,7 @@ def some(first: int, *names: str, site: str = "north") -> list[JournalPoll]:
     return list(numbered(changed, first))
 
 
-def test_readings_keep_the_labels_of_their_time(file: JournalFile) -> None:
+def test_readings_keep_the_labels_they_had(file: JournalFile) -> None:
     for at, site in enumerate(["x", "y", "x"]):
         file.write_polls(some(1 + at, "p0", site=site), {}, 0)
     read = [read_poll.readings[0].labels["site"] for read_poll in file.read_polls(0, 99)]
@@ -108,7 +108,7 @@ def test_readings_keep_the_labels_of_their_time(file: JournalFile) -> None:
     assert len(history(file.path, "a", "p0", 0, 9)) == 3
 
 
-def test_the_first_points_of_a_list_are_not_all_of_a_history(file: JournalFile) -> None:
+def test_a_history_reads_polls_with_other_points_of_a_device(file: JournalFile) -> None:
     file.write_polls(some(1, "p0", "p1"), {}, 0)
     file.write_polls(some(3, "p0"), {}, 0)
     assert query(file.path, "SELECT chosen FROM poll") == [(None,), (None,)]
@@ -128,7 +128,7 @@ def test_a_history_has_numbers_and_text(file: JournalFile, names: tuple[str, ...
     assert list(map(repr, values)) == ["1", "1", "'[1,null]'", "'{\"a\":false}'"]
 
 
-def test_a_poll_that_cannot_be_written_delays_no_other(file: JournalFile, caplog) -> None:
+def test_a_poll_that_cannot_be_written_does_not_delay_others(file: JournalFile, caplog) -> None:
     strange = Reading(1.0, "b", "p0", object(), "", "good")
     nameless = strange._replace(device="\ud800", value=1)
     file.write_polls(
@@ -150,13 +150,13 @@ def test_places_are_kept_for_each_output(path: str) -> None:
     assert second.first >= first.first + 9 + MARGIN or second.first > first.first + 10
     assert second.places == {"a": (first.first + 3, 6), "new": (second.first - 1, 0)}
     file.close()
-    file.open(["new"])  # an output that is away keeps its place
+    file.open(["new"])  # an output that is not connected keeps its place
     file.close()
     assert dict(query(path, "SELECT * FROM place"))["a"] == first.first + 3
 
 
 @pytest.mark.parametrize("now", [0.0, 4e9])
-def test_ids_rise_whatever_the_clock_says(path: str, now, monkeypatch) -> None:
+def test_ids_rise_whatever_the_time_of_day(path: str, now, monkeypatch) -> None:
     file = JournalFile(path, DAY, 10**9)
     contents = file.open([])
     file.write_polls(polls(contents.first, 5), {}, 0)
@@ -166,13 +166,13 @@ def test_ids_rise_whatever_the_clock_says(path: str, now, monkeypatch) -> None:
     file.close()
 
 
-def test_old_readings_are_deleted_once_all_outputs_confirmed_them(path: str) -> None:
+def test_old_readings_are_deleted_after_all_outputs_confirmed_them(path: str) -> None:
     file = opened(path, "a", keep=100.0)
     old, now = polls(1, 10, time=time.time() - 1000), polls(21, 10, time=time.time())
     assert file.write_polls([*old, *now], {}, 8).deleted[-1] == (
         7,
         2,
-    )  # later ones wait for an output
+    )  # later readings wait for an output
     assert file.write_polls([], {}, 40).deleted[-1] == (19, 2)
     assert file.write_polls([], {}, 40).deleted == []
     assert query(path, "SELECT min(id), count(*) FROM poll") == [(21, 10)]
@@ -180,10 +180,10 @@ def test_old_readings_are_deleted_once_all_outputs_confirmed_them(path: str) -> 
 
 
 @pytest.mark.parametrize("now", [0.0, 4e9])
-def test_a_clock_that_is_wrong_for_a_while_deletes_little(path: str, now, monkeypatch) -> None:
+def test_a_clock_that_is_wrong_for_a_while_deletes_few_readings(path: str, now, monkeypatch):
     file = opened(path, keep=90 * DAY)
     file.write_polls(polls(1, 1000, time=time.time()), {}, 10_000)
-    file._to_delete = 0  # what these allowed was used up long ago
+    file._to_delete = 0  # the deletions that these allowed were made long ago
     monkeypatch.setattr(journal_file, "time", SimpleNamespace(time=lambda: now, monotonic=float))
     file.write_polls(polls(5001, 3, time=now), {}, 10_000)
     [[count]] = query(path, "SELECT count(*) FROM poll WHERE id < 5000")
@@ -191,7 +191,7 @@ def test_a_clock_that_is_wrong_for_a_while_deletes_little(path: str, now, monkey
     file.close()
 
 
-def test_the_oldest_readings_make_room_confirmed_or_not(path: str) -> None:
+def test_the_oldest_readings_are_deleted_at_the_limit_confirmed_or_not(path: str) -> None:
     size = 200_000
     file = opened(path, "a", size=size)
     first, deleted = 1, 0
@@ -255,12 +255,12 @@ def test_a_file_that_is_no_database_is_refused_and_not_changed(path: str) -> Non
     assert Path(path).read_text() == "time,device,name\n" * 100
 
 
-def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     path = str(tmp_path / "none" / "fleet.db")
     assert refused(path) == "-lock: No such file or directory"
 
 
-def test_a_full_disk_leaves_all_as_it_was(file: JournalFile) -> None:
+def test_a_full_disk_changes_nothing(file: JournalFile) -> None:
     file.write_polls(polls(1, 10), {"a": 1 << 60}, 0)
     [[pages]] = file._used.execute("PRAGMA page_count")
     file._used.execute(f"PRAGMA max_page_count = {pages}").fetchall()

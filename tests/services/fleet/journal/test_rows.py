@@ -68,14 +68,14 @@ def test_thinned_values_contain_the_extremes_of_each_span(history, length, most,
         (1_000_001, ValueError, "most"),
     ],
 )
-def test_three_values_to_a_million_may_be_asked_for(path: str, most, error, message) -> None:
+def test_a_history_returns_three_to_a_million_values(path: str, most, error, message) -> None:
     """There is no such file, so that what may be asked for ends with another error."""
     with pytest.raises(error, match=message):
         history(path, "meter", "level", SINCE, SINCE + 1, most)
     assert past_in(path)("meter", "level", SINCE, SINCE + 1, 100) == []
 
 
-def test_numbers_and_gaps_of_a_value(path: str) -> None:
+def test_a_history_returns_numbers_and_gaps_of_a_value(path: str) -> None:
     rows = [(1, 5.5, "good"), (2, None, "down"), (3, "text", "good"), (4, 7, "good")]
     past = past_in(path)
     with closing(JournalFile(path, 1e9, 10**9)) as file:

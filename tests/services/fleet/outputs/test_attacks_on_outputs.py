@@ -69,7 +69,7 @@ async def test_a_file_on_a_full_disk_has_whole_lines_and_each_once(
 
 
 @in_simulated_time
-async def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_reads(caplog) -> None:
+async def test_a_permanent_failure_of_an_output_is_reported_to_readers(caplog) -> None:
     """`run` raises its error; in an `async with` nobody else would hear of it."""
 
     class Broken(FakeOutput):
@@ -89,7 +89,7 @@ async def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_rea
 
 @pytest.mark.parametrize("after", [[], ["b"], ["a"]], ids=["none", "another", "itself"])
 @in_simulated_time
-async def test_a_reload_discards_answers_of_former_devices(after: list[str]) -> None:
+async def test_a_reload_discards_answers_of_removed_devices(after: list[str]) -> None:
     """A device is removed, replaced, or changed while it is asked: no reading of the former."""
     answers = asyncio.Event()
 

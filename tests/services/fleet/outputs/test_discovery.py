@@ -72,7 +72,7 @@ async def discovered(
 
 
 @pytest.mark.parametrize("topic", ["modbus/{device}/{name}", "plant/{label.site}/{device}"])
-async def test_every_kind_of_point_becomes_the_entity_that_shows_it(broker: Broker, topic) -> None:
+async def test_each_kind_of_point_has_an_entity_in_home_assistant(broker: Broker, topic) -> None:
     device = device_of_every_kind()
     async with (
         Server({1: device}).serving("tcp://127.0.0.1:0") as running,
@@ -166,7 +166,7 @@ async def test_without_commands_nothing_can_be_set(broker: Broker) -> None:
             assert home.names == {"sensor: north: setpoint", "sensor: north: mode"}
 
 
-async def test_entities_are_available_while_poller_and_device_answer(broker: Broker) -> None:
+async def test_entities_are_available_while_the_poller_and_the_device_answer(broker: Broker):
     async with home_assistant(broker) as home, real_peer() as peer:
         devices = [meter("a", peer.url), meter("down", "tcp://127.0.0.1:1")]
         async with Fleet(devices, outputs=[Mqtt(broker.url, discovery="homeassistant")]) as fleet:
@@ -177,7 +177,7 @@ async def test_entities_are_available_while_poller_and_device_answer(broker: Bro
             fleet.replace(devices)
             await until(lambda: home.is_available("power", "a"))
         await until(lambda: not home.is_available("power", "a"))
-        assert len(home.entities) == 6  # they are only unavailable
+        assert len(home.entities) == 6  # the entities are only unavailable
 
 
 def points(count: int) -> RegisterMap:
@@ -221,7 +221,7 @@ NAMES = [
 
 
 @pytest.mark.parametrize("topic", ["modbus/{device}/{name}", "plant/{device}"])
-async def test_names_of_any_characters_are_those_of_entities(broker: Broker, topic: str) -> None:
+async def test_names_with_any_characters_become_names_of_entities(broker: Broker, topic: str):
     map_ = RegisterMap(Point(name, H, at) for at, name in enumerate(NAMES))
     async with real_peer() as peer:
         devices = [meter(name, peer.url, map=map_) for name in NAMES]
@@ -237,7 +237,7 @@ async def test_names_of_any_characters_are_those_of_entities(broker: Broker, top
             await until(lambda: not home.entities)
 
 
-async def test_devices_that_are_rarely_polled_appear_at_the_start_and_go(broker: Broker) -> None:
+async def test_devices_that_are_rarely_polled_appear_at_the_start_and_are_removed(broker: Broker):
     async with real_peer() as peer:
         devices = [meter(name, peer.url, interval=86_400) for name in ("a", "b")]
         async with discovered(broker, *devices) as (fleet, home):
@@ -262,7 +262,7 @@ async def test_a_device_that_is_renamed_in_a_reload_has_other_entities(broker: B
             assert len(home.added) == 9  # what has not changed is not published again
 
 
-async def test_a_label_in_the_topic_that_changes_keeps_the_entities(broker: Broker) -> None:
+async def test_a_changed_label_in_the_topic_keeps_the_entities(broker: Broker) -> None:
     async with real_peer() as peer:
         north = meter("north", peer.url, labels={"site": "x"})
         options = {"topic": "plant/{label.site}/{device}/{name}"}
@@ -324,7 +324,7 @@ async def discovered_now(
         await asyncio.gather(listening, return_exceptions=True)
 
 
-async def test_pollers_with_one_prefix_leave_each_other_their_entities(broker: Broker) -> None:
+async def test_pollers_with_one_prefix_keep_the_entities_of_each_other(broker: Broker) -> None:
     """Which of them comes first, and whichever ends."""
     async with real_peer() as peer:
         first, second = ([meter(name, peer.url, unit=2)] for name in ("first", "second"))
@@ -338,7 +338,7 @@ async def test_pollers_with_one_prefix_leave_each_other_their_entities(broker: B
             assert home.removed == []
 
 
-async def test_a_poller_that_was_killed_is_followed_by_one_with_another_file(
+async def test_a_killed_poller_leaves_no_entities_to_its_successor_with_another_file(
     broker: Broker, tmp_path: Path
 ) -> None:
     (tmp_path / "meter.csv").write_text("name,table,address\nx,holding_registers,0\n")
@@ -359,7 +359,7 @@ async def test_a_poller_that_was_killed_is_followed_by_one_with_another_file(
                 poller.send_signal(number)
 
 
-async def test_a_broker_that_lost_what_it_retained_gets_it_again(broker: Broker) -> None:
+async def test_a_broker_that_lost_its_retained_messages_gets_them_again(broker: Broker) -> None:
     async with real_peer() as peer:
         output = Mqtt(broker.url, discovery="homeassistant")
         fleet = Fleet([meter("a", peer.url), meter("b", peer.url, unit=2)], outputs=[output])
@@ -402,7 +402,7 @@ def test_a_device_that_another_worker_polls_keeps_its_entities() -> None:
     assert messages_of(discovery_, device, "good") == []  # readings that waited
     assert list(discovery_.last_messages()) == []
     discovery_.describe({"a": replace(device)})
-    assert len(messages_of(discovery_, device, "good")) == 3  # the other may have deleted them
+    assert len(messages_of(discovery_, device, "good")) == 3  # the other worker may have done so
     assert messages_of(discovery_, device, "good") == []
     discovery_.describe({"a": replace(device)})  # the file was read again
     assert messages_of(discovery_, device, "good") == []
@@ -412,7 +412,7 @@ def test_a_device_that_another_worker_polls_keeps_its_entities() -> None:
     assert discovery_.published == {}
 
 
-def test_a_device_that_goes_while_it_is_published_is_deleted() -> None:
+def test_a_device_removed_while_it_is_published_is_deleted() -> None:
     discovery_, device = discovery(), meter("a", "tcp://192.0.2.1")
     discovery_.describe({"a": device})
     readings = [Reading(0.0, "a", "power", 1, "", "good")]
@@ -453,5 +453,5 @@ def test_numbers_have_bounds_and_steps_that_are_allowed() -> None:
         )
 
 
-def test_units_and_classes_are_pairs_of_the_schema() -> None:
+def test_units_and_device_classes_are_valid_pairs_in_home_assistant() -> None:
     assert all(unit in UNITS[name].split() for unit, name in CLASS_OF.items())

@@ -101,7 +101,7 @@ ODD = {"site": 'Halle "2", Tor\\', "line": "ü"}
 
 
 @each_case("kind", [kind for kind in EVERY if kind not in ("csv", "influx")])
-def test_labels_of_json_are_an_object_that_stands_once(kind: str, tmp_path: Path) -> None:
+def test_labels_in_json_are_one_object(kind: str, tmp_path: Path) -> None:
     path = tmp_path / kind
     lines = EVERY[kind](path, [reading("north", "level")._replace(labels=ODD)])
     row = json.loads(lines[0][lines[0].index("{") :])
@@ -128,7 +128,7 @@ def test_json_has_the_id_of_a_reading_that_has_one(kind: str, number: int, tmp_p
 
 
 @pytest.mark.parametrize("topic", ["{label.site}/{device}/{name}", "{label.site}/{device}"])
-def test_a_former_topic_is_taken_back_until_that_was_accepted(topic: str) -> None:
+def test_a_former_topic_is_cleared_until_the_broker_accepted_that(topic: str) -> None:
     messages = Mqtt("mqtt://127.0.0.1", topic=topic, status="")._messages
     sites = [reading("north", "level")._replace(labels={"site": site}) for site in ("x", "y", "z")]
     moved = [sites[1], sites[2]._replace(time=101.0)]

@@ -42,7 +42,7 @@ def fleet_file(folder: Path, outputs: str = "") -> Path:
     return folder / "fleet.toml"
 
 
-def test_a_file_may_have_several_outputs_of_each_kind(tmp_path: Path) -> None:
+def test_a_fleet_file_may_have_several_outputs_of_each_kind(tmp_path: Path) -> None:
     file = load(
         fleet_file(
             tmp_path,
@@ -61,7 +61,7 @@ def test_a_file_may_have_several_outputs_of_each_kind(tmp_path: Path) -> None:
     assert len(Fleet(file.devices, outputs=file.make_outputs())._receivers.outputs) == 15
 
 
-def test_a_file_with_two_outputs_to_one_place(tmp_path: Path, refused: Refused) -> None:
+def test_a_fleet_file_with_two_outputs_to_one_file_is_refused(tmp_path: Path, refused: Refused):
     def load_outputs(outputs: str) -> None:
         try:
             load(fleet_file(tmp_path, outputs.replace("FOLDER", tmp_path.name)))
@@ -71,7 +71,7 @@ def test_a_file_with_two_outputs_to_one_place(tmp_path: Path, refused: Refused) 
     refused("one_place.txt", load_outputs)
 
 
-def test_a_link_leads_to_the_same_file(tmp_path: Path) -> None:
+def test_a_link_and_its_target_are_the_same_file(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path / "a")
     outputs = [JsonOutput(str(tmp_path / "a")), CsvOutput(str(tmp_path / "link"))]
     with pytest.raises(ValueError, match=r"^two outputs use the file .*/a$"):
@@ -85,7 +85,7 @@ def test_a_link_leads_to_the_same_file(tmp_path: Path) -> None:
         (lambda: Mqtt("mqtt://h"), lambda: Mqtt("mqtt://h:1883", user="x")),
     ],
 )
-def test_a_program_with_two_outputs_to_one_place(one, other) -> None:
+def test_a_program_with_two_outputs_to_one_file_is_refused(one, other) -> None:
     with pytest.raises(ValueError, match=r"^two outputs use "):
         Fleet([], outputs=[one(), other()])
 
@@ -96,13 +96,13 @@ def test_one_output_given_twice_is_refused() -> None:
         Fleet([], outputs=[output, output])
 
 
-def test_the_path_of_a_file_has_no_character_0() -> None:
+def test_a_path_with_a_zero_byte_is_refused() -> None:
     with pytest.raises(ValueError, match="path must not contain the character 0"):
         JsonOutput("a\0b")
 
 
 @each_case("name", ["fleet.db", "fleet.db-wal", "link"])
-def test_an_output_is_no_file_of_the_journal(name: str, tmp_path: Path) -> None:
+def test_an_output_cannot_write_into_a_file_of_the_journal(name: str, tmp_path: Path) -> None:
     """SQLite would find lines of text in its file, and the output what SQLite writes."""
     (tmp_path / "link").unlink(missing_ok=True)
     (tmp_path / "link").symlink_to("fleet.db")
@@ -117,7 +117,7 @@ SOURCES = ["fleet.toml", "./fleet.toml", "devices.csv", "meter.csv", "other.csv"
 
 @each_case("source", SOURCES)
 @each_case("kind", ["json", "csv", "influx"])
-def test_a_fleet_file_overwrites_no_source(tmp_path: Path, kind: str, source: str) -> None:
+def test_a_fleet_file_output_overwrites_no_source(tmp_path: Path, kind: str, source: str) -> None:
     broker = f'{BROKER}user = "u"\npassword_file = "secret"\n'
     file = fleet_file(tmp_path, f'{broker}[output.{kind}]\npath = "{source}"\n')
     with pytest.raises(FleetFileError, match="which the fleet is read from"):
@@ -125,7 +125,7 @@ def test_a_fleet_file_overwrites_no_source(tmp_path: Path, kind: str, source: st
 
 
 @pytest.mark.parametrize("source", ["devices.csv", "link"])
-def test_the_command_line_overwrites_no_source(tmp_path: Path, source: str) -> None:
+def test_an_output_of_the_command_line_cannot_overwrite_a_source(tmp_path: Path, source: str):
     file = fleet_file(tmp_path)
     (tmp_path / "link").symlink_to("meter.csv")
     result = run("poll", file, "--once", "--json", tmp_path / source)

@@ -57,7 +57,7 @@ async def test_readings_arrive_over_tls(broker: Broker, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("wrong", ["another authority", "another host"])
-async def test_a_broker_that_is_not_trusted_gets_nothing(broker: Broker, tmp_path, wrong) -> None:
+async def test_an_untrusted_broker_gets_no_reading(broker: Broker, tmp_path, wrong) -> None:
     pki = Pki(tmp_path)
     is_foreign = wrong == "another authority"
     identity = certificates.server(**({} if is_foreign else {"hosts": ("other.example",)}))
@@ -95,7 +95,7 @@ async def test_the_last_will_reports_a_killed_poller(broker: Broker, tmp_path: P
 
 
 @pytest.mark.parametrize("options", [{"user": "user", "password": "wrong"}, {}])
-async def test_wrong_credentials_are_one_line(broker: Broker, options, caplog) -> None:
+async def test_wrong_credentials_are_reported_in_one_line(broker: Broker, options, caplog) -> None:
     reason = "Not authorized"
     broker.settings[1] = f"password_file {broker._folder / 'passwords'}"
     broker.change()
@@ -116,7 +116,7 @@ async def test_wrong_credentials_are_one_line(broker: Broker, options, caplog) -
     assert "secret" not in caplog.text
 
 
-async def test_a_silent_connection_delays_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_silent_connection_does_not_delay_others(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mqtt_connection, "TIMEOUT_S", 0.2)
     silent = socket.create_server(("127.0.0.1", 0))
     port = silent.getsockname()[1]
@@ -158,7 +158,7 @@ async def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:
         assert device.mapping.holding_registers[2] == 22
         assert fleet.statistics.commands == 2
         assert fleet.statistics.refused_commands == len(cases) - 2
-        # One that the broker kept was meant for yesterday.
+        # A retained command is an old one.
         await publish(broker, "modbus/a/setpoint/set", b"15", retain=True)
         await until(lambda: device.mapping.holding_registers[2] == 15)
     async with commanded(broker, commands=True) as (fleet, messages, device):
@@ -222,7 +222,7 @@ async def test_a_retained_message_has_the_last_values_of_all_points(broker: Brok
             assert plain(messages[-1][1]) == {"y": 5, "z": 4}
 
 
-async def test_polls_above_the_largest_message_are_several(broker: Broker) -> None:
+async def test_polls_above_the_largest_message_are_split(broker: Broker) -> None:
     broker.change("message_size_limit 2000")
     output = Mqtt(broker.url, topic=TOPIC, retain=False, max_message=2000)
     async with output_writer(output) as writer:
@@ -234,5 +234,5 @@ async def test_polls_above_the_largest_message_are_several(broker: Broker) -> No
         assert sum(len(message["values"]) for message in messages) == 100
 
 
-def test_bad_option_is_named(refused: Refused) -> None:
+def test_an_invalid_option_is_named(refused: Refused) -> None:
     refused("refused_mqtt.txt", lambda options: Mqtt(**{"url": "mqtt://192.0.2.1", **options}))

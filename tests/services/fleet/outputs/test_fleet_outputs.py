@@ -76,7 +76,7 @@ async def test_an_output_that_fails_is_opened_again_and_loses_no_reading(caplog:
 
 @pytest.mark.parametrize("error", [OutputError("gone"), SystemError("?"), GeneratorExit()])
 @in_simulated_time
-async def test_only_a_permanent_error_of_an_output_ends_the_fleet(error: BaseException) -> None:
+async def test_only_a_permanent_error_ends_the_fleet(error: BaseException) -> None:
     """OutputError and what is not an Exception end `run`; the rest are tried again."""
     async with Peer() as peer:
         fleet = Fleet([meter("a", peer.url)], outputs=[FakeOutput(next=[error])])
@@ -106,7 +106,7 @@ async def test_an_iterator_that_is_not_read_loses_the_oldest_readings() -> None:
 
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("path", ["/dev/full", "/nowhere/at/all", "/proc/version"])
-async def test_a_file_that_cannot_be_written_delays_no_other(path: str, caplog: Any) -> None:
+async def test_a_file_that_cannot_be_written_does_not_delay_other_outputs(path: str, caplog: Any):
     output = JsonOutput(path)
     fleet = await polled(output, lambda fleet: fleet.statistics.polls > 10, kind=real_peer)
     statistics = fleet.statistics.outputs[f"json {path}"]
@@ -117,7 +117,7 @@ async def test_a_file_that_cannot_be_written_delays_no_other(path: str, caplog: 
 
 
 @pytest.mark.usefixtures("quick")
-async def test_a_pipe_without_a_reader_delays_no_other_and_leaves_nothing(tmp_path: Path) -> None:
+async def test_a_pipe_without_a_reader_does_not_delay_other_outputs(tmp_path: Path) -> None:
     path = tmp_path / "pipe"
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
@@ -158,6 +158,6 @@ async def test_outputs_get_the_labels_of_devices_which_distinguish_equal_names()
             assert outputs[0].labels == {"b": {"site": "there"}}
 
 
-def test_only_the_standard_output_gets_no_earlier_readings() -> None:
+def test_only_standard_output_gets_no_earlier_readings() -> None:
     assert JsonOutput("-").is_live is True
     assert JsonOutput("readings.json").is_live is False

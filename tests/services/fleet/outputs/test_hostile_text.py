@@ -56,11 +56,11 @@ def test_readers_of_csv_get_the_text_back(text: str) -> None:
         assert not OBEYED & set(outside)
 
 
-def test_rows_that_can_be_read_once_are_written_whole() -> None:
+def test_rows_from_an_iterator_are_all_written() -> None:
     assert csv_rows(iter(row) for row in [["a", 1], ["\x06", 2]]) == '"a",1\n"\x06",2\n'
 
 
-def test_the_files_of_fleets_hold_the_text(tmp_path: Path) -> None:
+def test_csv_and_json_files_contain_the_text_unchanged(tmp_path: Path) -> None:
     written(CsvOutput(str(tmp_path / "csv")), *map(reading, TEXTS))
     with (tmp_path / "csv").open(newline="") as file:
         assert [row[3] for row in csv.reader(file, strict=True)][1:] == TEXTS

@@ -132,7 +132,7 @@ def test_without_credentials_no_login_is_sent() -> None:
     assert "authorization" not in received.headers
 
 
-async def test_an_empty_write_asks_nothing() -> None:
+async def test_an_empty_write_sends_no_request() -> None:
     async with serving() as server:
         await outputs.write(Influx(url=server.url, database="plant"), [])
         assert server.received == []
@@ -163,7 +163,7 @@ async def test_an_empty_write_asks_nothing() -> None:
         (None, ConnectionError, None),
     ],
 )
-def test_answers_that_confirm_nothing_are_errors(answer, error, message) -> None:
+def test_answers_that_confirm_nothing_are_errors_of_influx(answer, error, message) -> None:
     with pytest.raises(error, match=message) as raised:
         write(answer, token="s3cret", database=None, bucket="b")
     # Only a lost connection may be due to the readings.
@@ -177,13 +177,13 @@ def test_answers_that_confirm_nothing_are_errors(answer, error, message) -> None
         [b"HTTP/1.1 500 No\r\nTransfer-Encoding: chunked\r\n\r\n", b"1\r\nx\r\n"],
     ],
 )
-def test_an_answer_without_end_is_not_read_to_the_end(answer: Answer) -> None:
+def test_an_infinite_answer_is_not_read_to_the_end(answer: Answer) -> None:
     with pytest.raises(OSError, match=r"(InfluxDB 204: is this its URL.|500 x{200})$"):
         write(answer)
 
 
 @each_case("answer", [[b"HTTP/1.1 204 No", b""], [b"HTTP/1.1 204 No Content\r\n", b"X: y\r\n"]])
-def test_an_answer_that_never_comes_takes_the_timeout(answer: Answer) -> None:
+def test_a_missing_answer_ends_with_the_timeout(answer: Answer) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(influx, "TIMEOUT_S", 0.2)
         with pytest.raises(TimeoutError, match="did not answer"):
@@ -273,11 +273,11 @@ def lines_of(*readings: Reading, **labels: str) -> str:
         (read(1, "Füllstand"), "Füllstand=1"),
     ],
 )
-def test_readings_are_fields(reading: Reading, fields: str) -> None:
+def test_readings_are_fields_of_one_line(reading: Reading, fields: str) -> None:
     assert lines_of(reading) == f"modbus,device=north {fields} {STAMP}\n"
 
 
-def test_a_poll_is_one_line_and_the_next_one_another() -> None:
+def test_each_poll_is_one_line() -> None:
     later = read(3)._replace(time=TIME + 1)
     other = read(4)._replace(device="south")
     assert lines_of(read(1), read(2, "flow"), later, other).splitlines() == [
@@ -287,7 +287,7 @@ def test_a_poll_is_one_line_and_the_next_one_another() -> None:
     ]
 
 
-def test_labels_are_tags_in_order_without_empty_ones() -> None:
+def test_labels_are_sorted_tags_without_empty_ones() -> None:
     labels = {"site": "Halle 2", "line": "a,b=c\\", "area": ""}
     assert lines_of(read(1), **labels) == (
         rf"modbus,device=north,line=a\,b\=c%5C,site=Halle\ 2 level=1 {STAMP}" + "\n"
@@ -304,6 +304,6 @@ def test_bad_measurements_are_refused(measurement: str) -> None:
         LineProtocol(measurement)
 
 
-def test_a_point_without_anything_to_tell_is_left_out() -> None:
+def test_a_point_without_values_is_left_out() -> None:
     assert lines_of(read([])) == ""
     assert lines_of(read([]), read(1, "flow")) == f"modbus,device=north flow=1 {STAMP}\n"

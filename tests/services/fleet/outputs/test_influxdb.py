@@ -41,7 +41,7 @@ def reading(name: str, value: Any, time: float = 1_700_000_000.25, **keys: Any) 
     return Reading(time, keys.pop("device", "north"), name, value, "m", "good", **keys)
 
 
-def test_names_and_values_arrive_as_they_were(database: Database) -> None:
+def test_names_and_values_arrive_unchanged(database: Database) -> None:
     values = {
         "a b,c=d": 1,
         'quo"te': -2.5,
@@ -72,14 +72,14 @@ def test_a_reading_sent_twice_is_stored_once(database: Database) -> None:
     assert row["count"] == 2
 
 
-def test_whole_numbers_and_states_without_a_name_are_no_conflict(database: Database) -> None:
+def test_integers_and_states_without_a_name_cause_no_conflict_of_types(database: Database) -> None:
     write(database, reading("level", 1), reading("state", "off"))
     write(database, reading("level", 1.5, 1_700_000_001.0), reading("state", 7, 1_700_000_001.0))
     rows = database.ask("SELECT level, state FROM modbus")
     assert [(row["level"], row["state"]) for row in rows] == [(1, "off"), (1.5, "7")]
 
 
-def test_a_conflict_of_types_is_a_refusal(database: Database) -> None:
+def test_a_conflict_of_types_is_refused(database: Database) -> None:
     write(database, reading("level", 1))
     with pytest.raises(ReadingsRefused, match=r"400 .*conflict"):
         write(database, reading("level", "text", 1_700_000_001.0))

@@ -58,10 +58,10 @@ def values(kind: str, path: Path) -> list[str]:
 
 @pytest.mark.parametrize("kind", KINDS)
 class TestOthers:
-    """What others do to the file while it is open."""
+    """Other programs change the file while it is open."""
 
     @pytest.mark.parametrize("way", ["renamed", "created", "deleted", "emptied"])
-    def test_the_next_reading_begins_a_file(self, tmp_path: Path, kind: str, way: str) -> None:
+    def test_a_new_file_begins_with_the_next_reading(self, tmp_path: Path, kind: str, way: str):
         path, old = tmp_path / "now", tmp_path / "old"
 
         def change() -> None:
@@ -79,7 +79,7 @@ class TestOthers:
         if old.exists():
             assert values(kind, old) == ["1"]
 
-    def test_a_folder_that_is_away_is_an_error_for_now(self, tmp_path: Path, kind: str) -> None:
+    def test_a_missing_folder_is_a_temporary_error(self, tmp_path: Path, kind: str) -> None:
         folder = tmp_path / "folder"
         folder.mkdir()
         output = KINDS[kind](str(folder / "now"))
@@ -90,7 +90,7 @@ class TestOthers:
         write(output, reading(2))
         assert values(kind, folder / "now") == ["2"]
 
-    def test_a_file_is_continued_behind_its_last_line(self, tmp_path: Path, kind: str) -> None:
+    def test_a_file_is_continued_after_its_last_line(self, tmp_path: Path, kind: str) -> None:
         path = tmp_path / "now"
         for value in (1, 2, 3):
             write(KINDS[kind](str(path)), reading(value))
@@ -106,7 +106,7 @@ class TestOthers:
 
 @pytest.mark.parametrize("kind", KINDS)
 @each_case("value", [1, "x", 'a "word"', "two\nlines", 'one",\n"', '"'])
-def test_half_a_line_of_a_crash_is_ended_first(tmp_path: Path, kind: str, value: Any) -> None:
+def test_half_a_line_of_a_crash_is_ended_before_the_next_one(tmp_path: Path, kind: str, value: Any):
     path = tmp_path / "now"
     path.unlink(missing_ok=True)
     write(KINDS[kind](str(path)), reading(0))
@@ -127,7 +127,7 @@ def test_half_a_line_of_a_crash_is_ended_first(tmp_path: Path, kind: str, value:
             assert [rows[at][1:4] for at in (1, -1)] == [["a", "level", "0"], ["a", "level", "7"]]
 
 
-def test_half_a_line_of_a_file_that_cannot_be_read_is_left(tmp_path: Path) -> None:
+def test_half_a_line_of_an_unreadable_file_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "now"
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
@@ -141,7 +141,7 @@ KEY = b"-----BEGIN PRIVATE KEY-----\nMC4CAQAwBQYDK2Vw\n"
 
 @each_case("kind", ["json", "csv", "influx"])
 @each_case("content", [KEY, b"#!/bin/sh\nexit 0\n", b"\n", b"secret", b"\xef\xbb\xbf" + HEADER])
-def test_a_file_that_holds_no_readings_is_left_as_it_is(tmp_path, kind, content) -> None:
+def test_a_file_without_readings_is_not_changed(tmp_path, kind, content) -> None:
     path = tmp_path / "theirs"
     path.write_bytes(content)
     with pytest.raises(OSError, match=r"does not begin with .* rename the file") as caught:
@@ -150,7 +150,7 @@ def test_a_file_that_holds_no_readings_is_left_as_it_is(tmp_path, kind, content)
     assert b"BEGIN" not in str(caught.value).encode()
 
 
-def test_a_file_that_replaces_the_own_one_is_not_changed(tmp_path: Path) -> None:
+def test_a_file_that_replaces_that_of_the_output_is_not_changed(tmp_path: Path) -> None:
     path, theirs = tmp_path / "now", tmp_path / "theirs"
     theirs.write_bytes(KEY)
     with pytest.raises(OSError, match="does not begin"):

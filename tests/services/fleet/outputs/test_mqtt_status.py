@@ -40,7 +40,7 @@ def reading(device: str, value: object, at: float = 0) -> Reading:
 
 
 @pytest.mark.parametrize("qos", [0, 1])
-async def test_last_values_at_which_the_broker_ends_connections_do_not_stop_others(
+async def test_last_values_that_make_a_broker_disconnect_do_not_stop_others(
     broker: Broker, qos: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with output_writer(Mqtt(broker.url, qos=qos)) as writer:
@@ -80,7 +80,7 @@ def poll(device: str, qualities: str, at: float = 0) -> list[Reading]:
         (["gg", "oo", "oo"], [True, False, False]),
     ],
 )
-def test_a_device_answers_while_a_point_of_it_is_read_or_refused(polls, states) -> None:
+def test_a_device_is_online_while_one_of_its_points_is_read_or_refused(polls, states) -> None:
     device_states = DeviceStates(Topic("device_status", TOPIC, ("device",)))
     messages = []
     for letters in polls:
@@ -105,7 +105,7 @@ def test_a_device_with_another_label_has_another_topic() -> None:
         states.keep_states(changed, labelled)
 
 
-def test_removed_devices_take_no_room() -> None:
+def test_states_of_removed_devices_take_no_memory() -> None:
     states = DeviceStates(Topic("device_status", TOPIC, ("device",)))
     for number in range(100):
         for letters in ("gg", "oo"):
@@ -175,7 +175,7 @@ def narrow(broker: Broker) -> Broker:
 
 
 @pytest.mark.parametrize("qos", [0, 1])
-async def test_a_message_on_which_the_broker_disconnects_is_dropped_and_logged_once(
+async def test_a_message_that_makes_the_broker_disconnect_is_dropped_and_logged_once(
     narrow: Broker, qos: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.DEBUG)
@@ -195,7 +195,7 @@ async def test_a_message_on_which_the_broker_disconnects_is_dropped_and_logged_o
     assert any(record.name.endswith(".mqtt_connection.client") for record in caplog.records)
 
 
-async def test_a_connection_is_closed_if_no_task_waits_for_the_broker() -> None:
+async def test_a_connection_is_closed_when_no_task_waits_for_the_broker() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         output = Mqtt(f"mqtt://127.0.0.1:{listening.getsockname()[1]}")
         opening = asyncio.create_task(output.open_output())
@@ -205,18 +205,18 @@ async def test_a_connection_is_closed_if_no_task_waits_for_the_broker() -> None:
         with accepted:
             await loop.sock_recv(accepted, 1000)
             opening.cancel()
-            with pytest.raises(asyncio.CancelledError) as caught:  # which keeps all that it names
+            with pytest.raises(asyncio.CancelledError) as caught:  # it keeps objects in memory
                 await opening
             assert caught.value
             assert await asyncio.wait_for(loop.sock_recv(accepted, 1), 10) == b""
 
 
-async def test_readings_of_qos_0_are_sent_again_if_the_broker_died_before_it_had_them(
+async def test_readings_of_qos_0_are_sent_again_if_the_broker_died_before(
     broker: Broker,
 ) -> None:
     output = Mqtt(broker.url)
     await output.open_output()
-    broker.send_signal(signal.SIGSTOP)  # what is sent stays in its socket
+    broker.send_signal(signal.SIGSTOP)  # messages stay in the socket of the broker
     writing = asyncio.create_task(output.write_readings([reading("a", 1)]))
     await asyncio.wait([writing], timeout=0.2)
     broker.kill()
@@ -225,7 +225,7 @@ async def test_readings_of_qos_0_are_sent_again_if_the_broker_died_before_it_had
     await output.close_output()
 
 
-async def test_a_write_that_is_cancelled_publishes_no_longer(broker: Broker) -> None:
+async def test_a_cancelled_write_publishes_nothing_more(broker: Broker) -> None:
     output = Mqtt(broker.url, qos=1)
     await output.open_output()
     broker.send_signal(signal.SIGSTOP)  # it confirms nothing

@@ -15,7 +15,7 @@ LEVELS = Levels(r"[\s.%/]")
 NAMES = ["north", "hall.2", "a b", "50%", "%2E", "kälte", "日本", "/", "x" * 100]
 
 
-def test_a_name_is_read_from_its_level() -> None:
+def test_a_level_decodes_to_the_name_that_it_encodes() -> None:
     assert [LEVELS.read(LEVELS.spell(name)) for name in NAMES] == NAMES
     assert LEVELS.spell("hall.2 50%/kälte") == "hall%2E2%2050%25%2Fkälte"
     assert len({LEVELS.spell(name) for name in NAMES}) == len(NAMES)
@@ -27,7 +27,7 @@ TOO_LONG = ["x" * 101, "%25" * 101, "a" * 100_000]
 
 
 @each_case("level", [*SPELT_OTHERWISE, *TOO_LONG])
-def test_a_level_in_another_spelling_is_no_name(level: str) -> None:
+def test_a_level_in_another_spelling_is_refused(level: str) -> None:
     assert LEVELS.read(level) is None
 
 
@@ -53,7 +53,7 @@ def test_a_label_may_be_part_of_a_level() -> None:
     assert template.of({"the site": "1"}, device="a", name="b") == "site-1/a/b"
 
 
-def test_a_device_that_was_removed_has_no_labels() -> None:
+def test_labels_of_a_removed_device_are_unknown() -> None:
     assert topic().of({}, device="north", name="power") == "plant/unknown/north/power"
 
 
@@ -112,7 +112,7 @@ async def test_a_device_without_the_label_is_not_added() -> None:
     ],
     ids=["with labels", "without the name of a point"],
 )
-async def test_a_command_goes_to_the_own_topic_of_a_point_only(
+async def test_a_command_is_accepted_on_the_topic_of_its_point_only(
     broker: Broker, template: str, reading: str, other: str, own: str
 ) -> None:
     """A command to the topic of another site is none: rules of the broker go by topics."""

@@ -75,7 +75,7 @@ def test_a_poll_that_can_never_be_written_is_dropped_and_the_others_are_written(
 
 
 @each_case(("error", "failures"), [(RuntimeError("a bug"), 1), (OSError(errno.ENOSPC, "full"), 5)])
-def test_a_poll_that_fails_for_a_moment_is_not_dropped(error: Exception, failures: int) -> None:
+def test_a_poll_that_fails_temporarily_is_not_dropped(error: Exception, failures: int) -> None:
     output = FakeOutput(refused=("a",), error=error)
 
     async def play(writer: OutputWriter) -> None:
@@ -97,7 +97,7 @@ def test_an_output_that_raises_when_closed_is_opened_again() -> None:
     assert [reading.device for reading in output.accepted] == list("aacc")
 
 
-def test_a_poll_is_never_divided_by_the_buffer() -> None:
+def test_a_poll_is_never_split_by_the_buffer() -> None:
     output = FakeOutput()
     simulated_run(
         write_readings(output, [reading(device, f"{at}") for device in "abc" for at in range(1200)])
@@ -158,7 +158,7 @@ def test_an_output_of_one_device_writes_its_later_polls() -> None:
 
 
 @each_case("away", [*range(9), 20, 59])
-def test_an_output_that_was_away_gets_all_readings_and_the_newest_last(away: int) -> None:
+def test_an_output_that_failed_for_a_while_gets_all_readings_and_the_newest_last(away: int) -> None:
     every = polls("abcabcab")
     output = FakeOutput(next=[LOST] * away)
     statistics = write_all(output, "abcabcab")
@@ -168,7 +168,7 @@ def test_an_output_that_was_away_gets_all_readings_and_the_newest_last(away: int
     assert newest == {entry.device: entry.value for entry in every}
 
 
-def test_a_poll_that_waits_alone_is_kept() -> None:
+def test_a_poll_that_waits_alone_is_not_dropped() -> None:
     output = FakeOutput(refused="a", error=LOST)
 
     async def play(writer: OutputWriter) -> None:
@@ -182,7 +182,7 @@ def test_a_poll_that_waits_alone_is_kept() -> None:
 
 
 @in_simulated_time
-async def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
+async def test_the_suspected_poll_may_be_dropped_from_a_full_buffer() -> None:
     output = FakeOutput(refused="x", error=LOST, buffer=4)
     async with output_writer(output) as writer:
         writer.buffer.put_readings(polls("x"))
@@ -194,7 +194,7 @@ async def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
     assert writer.statistics.written >= 4
 
 
-def test_a_loss_after_a_refused_poll_drops_nothing() -> None:
+def test_a_lost_connection_after_a_refused_poll_drops_no_poll() -> None:
     """That a poll was refused says nothing about the next ones, if the other side is away."""
     output = FakeOutput(refused="b", error=LOST)
 
@@ -211,7 +211,7 @@ def test_a_loss_after_a_refused_poll_drops_nothing() -> None:
 
 
 @pytest.mark.parametrize("devices", ["abc", "bac", "abcdefgh"])
-def test_a_device_that_is_refused_again_costs_few_connections_and_no_time(devices: str) -> None:
+def test_a_device_that_is_refused_again_costs_few_connections_and_no_delay(devices: str) -> None:
     output = FakeOutput(refused="b", error=LOST)
     failed: list[int] = []
     took: list[float] = []
@@ -233,7 +233,7 @@ def test_a_device_that_is_refused_again_costs_few_connections_and_no_time(device
     assert {reading.device for reading in output.accepted} == set(devices) - {"b"}
 
 
-def test_a_device_that_is_accepted_again_is_believed_again() -> None:
+def test_a_device_that_is_accepted_again_is_no_longer_suspected() -> None:
     output = FakeOutput(refused="b", error=LOST)
 
     async def play(writer: OutputWriter) -> None:
@@ -267,7 +267,7 @@ class Denied(Stream):
 
 
 @each_case(("kind", "value"), [(Denied, 1), (Stream, "y" * 3000)])
-def test_a_poll_that_nats_denies_or_finds_too_large_holds_up_no_others(kind, value) -> None:
+def test_a_poll_that_nats_denies_or_finds_too_large_delays_no_others(kind, value) -> None:
     network = Network()
     engine = Engine(network)
 
