@@ -9,13 +9,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    AsyncClient,
-    Client,
-    ModbusConnectionError,
-    State,
-    pdu,
-)
+from libmodbus_py import AsyncClient, Client, ModbusConnectionError, State, pdu
 from libmodbus_py.client.sender import Sender
 from tests.simulation.ports import memory_port
 from tests.simulation.scripted import Scripted, Write

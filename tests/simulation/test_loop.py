@@ -9,15 +9,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    Client,
-    Device,
-    Fault,
-    Fleet,
-    Mapping,
-    ModbusTimeoutError,
-    Server,
-)
+from libmodbus_py import Client, Device, Fault, Fleet, Mapping, ModbusTimeoutError, Server
 from libmodbus_py.fleet import Journal
 from libmodbus_py.services.fleet.journal import journal
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile

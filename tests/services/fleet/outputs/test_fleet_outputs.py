@@ -16,13 +16,7 @@ from libmodbus_py import Fleet
 from libmodbus_py.services import tasks
 from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.outputs.output import Output, OutputError
-from tests.services.fleet.fleets import (
-    Peer,
-    in_simulated_time,
-    meter,
-    real_peer,
-    until,
-)
+from tests.services.fleet.fleets import Peer, in_simulated_time, meter, real_peer, until
 from tests.support.outputs import FakeOutput
 
 
