@@ -191,7 +191,7 @@ class Line(Matching):
             self._echo.sent(adu, is_telling=_is_telling(call.pdu))
         is_unknown = self._is_unknown and now < self._opened_at + call.timeouts.timeout
         pair = self._history.pair(call.unit, call.pdu[0], now, is_unknown=is_unknown)
-        # A unit that owes another answer may pause within a frame without being silent.
+        # A unit that owes another answer may be stalled: its silence does not show the end.
         if any(other.is_doubted for _, other in self._history.pairs_of(call.unit)):
             silence = TIMEOUTS_BETWEEN_CHECKS * call.timeouts.timeout
         else:
